@@ -1,0 +1,2 @@
+//! The program `scopeservo`.
+fn main() {}

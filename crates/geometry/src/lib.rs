@@ -1,0 +1,1 @@
+//! Plane transforms, closed forms, robust fits and their covariance.

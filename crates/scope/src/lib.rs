@@ -1,0 +1,1 @@
+//! The instrument contract: units, frames, Camera, Stage, Nosepiece, Clock, limits, errors.

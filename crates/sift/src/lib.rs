@@ -1,0 +1,1 @@
+//! SIFT features: detect, orient, describe, match. Knows no microscope and no geometry.

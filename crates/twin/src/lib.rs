@@ -1,0 +1,1 @@
+//! A simulated microscope. Shares no code with what it tests.
