@@ -1,0 +1,111 @@
+//! Time behind one contract: the wall's, or a simulation's.
+
+use serde::{Deserialize, Serialize};
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+/// Time since the start of the clock that made it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Timestamp(Duration);
+
+impl Timestamp {
+    /// From the time passed since the clock's start.
+    pub const fn from_start(since_start: Duration) -> Self {
+        Self(since_start)
+    }
+    /// Seconds since the clock's start.
+    pub fn seconds(self) -> f64 {
+        self.0.as_secs_f64()
+    }
+    /// The moment `later` after this one.
+    pub fn after(self, later: Duration) -> Self {
+        Self(self.0 + later)
+    }
+    /// Time from `earlier` until this moment; zero if `earlier` is later.
+    pub fn since(self, earlier: Self) -> Duration {
+        self.0.saturating_sub(earlier.0)
+    }
+}
+
+/// Where all waiting goes through. A device that waits, waits here.
+pub trait Clock: Send + Sync {
+    /// The present moment.
+    fn now(&self) -> Timestamp;
+    /// Returns when `duration` has passed on this clock.
+    fn sleep(&self, duration: Duration);
+}
+
+/// The wall clock, from the moment of its making.
+#[derive(Debug)]
+pub struct SystemClock {
+    start: Instant,
+}
+
+impl SystemClock {
+    /// Starts now.
+    pub fn new() -> Self {
+        Self {
+            start: Instant::now(),
+        }
+    }
+}
+
+impl Default for SystemClock {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Clock for SystemClock {
+    fn now(&self) -> Timestamp {
+        Timestamp(self.start.elapsed())
+    }
+    fn sleep(&self, duration: Duration) {
+        std::thread::sleep(duration);
+    }
+}
+
+/// A clock that moves only when someone sleeps: minutes of instrument time pass in no time.
+#[derive(Debug, Default)]
+pub struct VirtualClock {
+    now: Mutex<Duration>,
+}
+
+impl VirtualClock {
+    /// Starts at zero.
+    pub fn new() -> Self {
+        Self::default()
+    }
+}
+
+impl Clock for VirtualClock {
+    fn now(&self) -> Timestamp {
+        Timestamp(*self.now.lock().unwrap_or_else(|e| e.into_inner()))
+    }
+    fn sleep(&self, duration: Duration) {
+        *self.now.lock().unwrap_or_else(|e| e.into_inner()) += duration;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn virtual_time_passes_only_by_sleeping() {
+        let clock = VirtualClock::new();
+        assert_eq!(clock.now().seconds(), 0.0);
+        clock.sleep(Duration::from_secs(3600));
+        assert_eq!(clock.now().seconds(), 3600.0);
+        assert_eq!(clock.now(), clock.now());
+    }
+
+    #[test]
+    fn system_time_passes_by_itself() {
+        let clock = SystemClock::new();
+        let before = clock.now();
+        clock.sleep(Duration::from_millis(2));
+        assert!(clock.now().since(before) >= Duration::from_millis(2));
+    }
+}

@@ -1,0 +1,332 @@
+//! One suite for every stage, camera and nosepiece: simulated, emulated or real.
+//!
+//! Each check returns a sentence on failure. The suite moves the stage by a few hundred micrometres around where it
+//! stands and, where there is room, never leaves the limits; it ends where it began.
+
+use crate::{Axis, CheckedStage, Instrument, Motion, ScopeError, StagePose};
+use std::time::Duration;
+
+/// The result of one check.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Check {
+    /// What was checked.
+    pub name: &'static str,
+    /// `Ok`, or what did not hold.
+    pub outcome: Result<(), String>,
+}
+
+/// Runs the whole suite on an instrument.
+pub fn check_instrument(scope: &Instrument) -> Vec<Check> {
+    let mut checks = check_stage(scope);
+    checks.extend(check_camera(scope));
+    checks.extend(check_nosepiece(scope));
+    checks
+}
+
+fn run(name: &'static str, check: impl FnOnce() -> Result<(), String>) -> Check {
+    Check {
+        name,
+        outcome: check(),
+    }
+}
+
+fn said(error: ScopeError) -> String {
+    error.to_string()
+}
+
+fn ensure(holds: bool, sentence: impl FnOnce() -> String) -> Result<(), String> {
+    if holds { Ok(()) } else { Err(sentence()) }
+}
+
+/// A place `fraction` of the way from where the stage is towards the farther end of `axis`, at most `cap` away.
+fn towards_room(stage: &CheckedStage, axis: Axis, cap: f64) -> Result<(f64, f64), String> {
+    let here = stage
+        .position()
+        .map_err(said)?
+        .si(axis)
+        .ok_or_else(|| format!("position() does not report {axis}"))?;
+    let range = stage
+        .ranges()
+        .iter()
+        .find(|r| r.axis == axis)
+        .ok_or_else(|| format!("{axis} has no limits"))?;
+    let there = if range.max - here >= here - range.min {
+        here + cap.min(range.max - here)
+    } else {
+        here - cap.min(here - range.min)
+    };
+    Ok((here, there))
+}
+
+/// The largest trial move of an axis: 300 um or 0.05 rad.
+fn trial(axis: Axis) -> f64 {
+    if axis.is_rotation() { 0.05 } else { 300e-6 }
+}
+
+/// Stage checks: read-back, limits, missing axes, numbers that are none, stop, refusal while moving, many threads.
+pub fn check_stage(scope: &Instrument) -> Vec<Check> {
+    let stage = scope.stage();
+    vec![
+        run("every axis moves and reads back", || {
+            for info in stage.info().axes.clone() {
+                let (here, there) = towards_room(stage, info.axis, trial(info.axis))?;
+                let to = StagePose::default().with_si(info.axis, there);
+                let at = scope.move_to(&to).map_err(said)?;
+                let read = at.si(info.axis).unwrap_or(f64::NAN);
+                let slack = 4.0 * info.repeatability + 1e-9;
+                ensure((read - there).abs() <= slack, || {
+                    format!(
+                        "{} was sent to {there} and reads back {read} (SI)",
+                        info.axis
+                    )
+                })?;
+                scope
+                    .move_to(&StagePose::default().with_si(info.axis, here))
+                    .map_err(said)?;
+            }
+            Ok(())
+        }),
+        run("limits are refused and nothing moves", || {
+            let before = stage.position().map_err(said)?;
+            for range in stage.ranges().to_vec() {
+                let span = (range.max - range.min).max(1e-6);
+                for outside in [range.min - 0.01 * span, range.max + 0.01 * span] {
+                    let to = StagePose::default().with_si(range.axis, outside);
+                    let answer = stage.start_move(&to);
+                    ensure(
+                        matches!(answer, Err(ScopeError::OutsideLimits { .. })),
+                        || format!("{} past its limit answered {answer:?}", range.axis),
+                    )?;
+                }
+            }
+            ensure(stage.position().map_err(said)? == before, || {
+                "the stage moved".into()
+            })
+        }),
+        run("missing axes and numbers that are none are refused", || {
+            for axis in Axis::ALL {
+                let to = StagePose::default().with_si(axis, f64::NAN);
+                ensure(stage.start_move(&to).is_err(), || {
+                    format!("{axis} accepted NaN")
+                })?;
+                if stage.info().axis(axis).is_none() {
+                    let to = StagePose::default().with_si(axis, 0.0);
+                    ensure(
+                        stage.start_move(&to) == Err(ScopeError::NoSuchAxis { axis }),
+                        || format!("{axis} is missing, yet a move was not refused"),
+                    )?;
+                }
+            }
+            Ok(())
+        }),
+        run("stop works from another thread while moving", || {
+            let axis = stage.info().axes.first().ok_or("the stage has no axes")?;
+            let (here, there) = towards_room(stage, axis.axis, 20.0 * trial(axis.axis))?;
+            stage
+                .start_move(&StagePose::default().with_si(axis.axis, there))
+                .map_err(said)?;
+            scope.clock().sleep(Duration::from_millis(20));
+            let moving = stage.poll().map_err(said)?;
+            std::thread::scope(|s| s.spawn(|| stage.stop()).join())
+                .map_err(|_| "stop panicked".to_string())?
+                .map_err(said)?;
+            scope.clock().sleep(Duration::from_millis(50));
+            let after = stage.poll().map_err(said)?;
+            ensure(moving == Motion::Moving, || {
+                format!("20 ms after the start of a long move it was {moving:?}")
+            })?;
+            ensure(after != Motion::Moving, || {
+                "it still moves after stop".into()
+            })?;
+            let at = stage.position().map_err(said)?.si(axis.axis);
+            scope.clock().sleep(Duration::from_millis(200));
+            let later = stage.position().map_err(said)?.si(axis.axis);
+            ensure(at == later, || format!("it crept from {at:?} to {later:?}"))?;
+            ensure(at != Some(there), || {
+                "it reached its goal despite stop".into()
+            })?;
+            scope
+                .move_to(&StagePose::default().with_si(axis.axis, here))
+                .map_err(said)?;
+            Ok(())
+        }),
+        run("a second move while moving is refused", || {
+            let axis = stage.info().axes.first().ok_or("the stage has no axes")?;
+            let (here, there) = towards_room(stage, axis.axis, 20.0 * trial(axis.axis))?;
+            let to = StagePose::default().with_si(axis.axis, there);
+            stage.start_move(&to).map_err(said)?;
+            let second = stage.start_move(&StagePose::default().with_si(axis.axis, here));
+            stage.stop().map_err(said)?;
+            ensure(matches!(second, Err(ScopeError::Busy { .. })), || {
+                format!("it answered {second:?}")
+            })?;
+            scope
+                .move_to(&StagePose::default().with_si(axis.axis, here))
+                .map_err(said)?;
+            Ok(())
+        }),
+        run("eight threads may ask at once", || {
+            std::thread::scope(|s| {
+                let asked: Vec<_> = (0..8)
+                    .map(|_| {
+                        s.spawn(|| -> Result<(), ScopeError> {
+                            for _ in 0..50 {
+                                stage.position()?;
+                                stage.poll()?;
+                            }
+                            Ok(())
+                        })
+                    })
+                    .collect();
+                for thread in asked {
+                    thread
+                        .join()
+                        .map_err(|_| "a thread panicked".to_string())?
+                        .map_err(said)?;
+                }
+                Ok(())
+            })
+        }),
+    ]
+}
+
+/// Camera checks: frame shape, time stamps, freshness, exposure, grabbing during motion.
+pub fn check_camera(scope: &Instrument) -> Vec<Check> {
+    let camera = scope.camera();
+    vec![
+        run("frames have the size they claim", || {
+            let frame = scope.grab().map_err(said)?;
+            let info = camera.info();
+            let samples = match &frame.samples {
+                crate::Samples::U8(s) => s.len(),
+                crate::Samples::U16(s) => s.len(),
+            };
+            ensure(
+                frame.width == info.width
+                    && frame.height == info.height
+                    && samples == info.width * info.height * info.channels.count(),
+                || format!("{}x{} with {samples} samples", frame.width, frame.height),
+            )
+        }),
+        run("a frame begins after it was asked for", || {
+            let mut last = None;
+            for _ in 0..3 {
+                let asked = scope.clock().now();
+                let frame = scope.grab().map_err(said)?;
+                ensure(frame.exposure_start >= asked, || {
+                    format!(
+                        "exposed {} s before it was asked for",
+                        asked.since(frame.exposure_start).as_secs_f64()
+                    )
+                })?;
+                ensure(last < Some(frame.sequence), || {
+                    "sequence numbers do not rise".into()
+                })?;
+                last = Some(frame.sequence);
+            }
+            Ok(())
+        }),
+        run(
+            "exposure is honoured, and refused outside its range",
+            || {
+                let info = camera.info();
+                let before = camera.exposure().map_err(said)?;
+                let half = (before / 2).max(info.min_exposure);
+                let set = camera.set_exposure(half).map_err(said)?;
+                let frame = scope.grab().map_err(said)?;
+                ensure(frame.exposure == set, || {
+                    format!("set {set:?}, the frame says {:?}", frame.exposure)
+                })?;
+                let refused = camera.set_exposure(info.max_exposure * 2);
+                camera.set_exposure(before).map_err(said)?;
+                ensure(refused.is_err(), || "twice the longest was accepted".into())
+            },
+        ),
+        run("a grab after a move shows the new place", || {
+            let axis = Axis::X;
+            if scope.stage().info().axis(axis).is_none() {
+                return Ok(());
+            }
+            let (here, there) = towards_room(scope.stage(), axis, trial(axis))?;
+            let first = scope.grab().map_err(said)?;
+            let same = scope.grab().map_err(said)?;
+            scope
+                .move_to(&StagePose::default().with_si(axis, there))
+                .map_err(said)?;
+            let moved = scope.grab().map_err(said)?;
+            scope
+                .move_to(&StagePose::default().with_si(axis, here))
+                .map_err(said)?;
+            let back = scope.grab().map_err(said)?;
+            let (still, away) = (
+                difference(&first, &same).max(difference(&first, &back)),
+                difference(&first, &moved),
+            );
+            ensure(away > 1.5 * still, || {
+                format!("pictures differ by {away:.4} after the move and by {still:.4} without it")
+            })
+        }),
+        run("frames can be grabbed during motion", || {
+            let axis = Axis::X;
+            if scope.stage().info().axis(axis).is_none() {
+                return Ok(());
+            }
+            let (here, there) = towards_room(scope.stage(), axis, 10.0 * trial(axis))?;
+            scope
+                .stage()
+                .start_move(&StagePose::default().with_si(axis, there))
+                .map_err(said)?;
+            let grabbed = camera.grab();
+            scope.stage().stop().map_err(said)?;
+            scope
+                .move_to(&StagePose::default().with_si(axis, here))
+                .map_err(said)?;
+            grabbed.map(|_| ()).map_err(said)
+        }),
+    ]
+}
+
+/// Mean absolute difference of two frames' luminance.
+fn difference(a: &crate::Frame, b: &crate::Frame) -> f64 {
+    let (a, b) = (a.luminance(), b.luminance());
+    let sum: f64 = a
+        .iter()
+        .zip(&b)
+        .map(|(x, y)| f64::from((x - y).abs()))
+        .sum();
+    sum / a.len().max(1) as f64
+}
+
+/// Nosepiece checks: every objective can be reached, unknown ones are refused.
+pub fn check_nosepiece(scope: &Instrument) -> Vec<Check> {
+    let nosepiece = scope.nosepiece();
+    vec![
+        run("every objective can be selected", || {
+            let before = nosepiece.current().map_err(said)?;
+            for objective in nosepiece.objectives().to_vec() {
+                scope.select_objective(&objective.id).map_err(said)?;
+            }
+            if let Some(id) = before {
+                scope.select_objective(&id).map_err(said)?;
+            }
+            Ok(())
+        }),
+        run("an unknown objective is refused", || {
+            let unknown = crate::ObjectiveId("no such objective".into());
+            ensure(nosepiece.start_change(&unknown).is_err(), || {
+                "it was accepted".into()
+            })
+        }),
+        run("magnifications and nominal scales are positive", || {
+            for o in nosepiece.objectives() {
+                ensure(
+                    o.magnification > 0.0
+                        && o.nominal_um_per_px > 0.0
+                        && o.numerical_aperture > 0.0,
+                    || format!("{} states {o:?}", o.id),
+                )?;
+            }
+            Ok(())
+        }),
+    ]
+}

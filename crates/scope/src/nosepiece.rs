@@ -1,0 +1,43 @@
+//! The nosepiece: which objectives there are and which one looks at the specimen.
+
+use crate::{Motion, ScopeError};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// The name of an objective. Calibrations belong to it; its magnification is only a label.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct ObjectiveId(pub String);
+
+impl fmt::Display for ObjectiveId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// What is engraved on an objective, and what the maker's data sheet says of the picture it gives here.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Objective {
+    /// Its name.
+    pub id: ObjectiveId,
+    /// Total magnification at the eyepiece, for people and for ordering.
+    pub magnification: f64,
+    /// Numerical aperture.
+    pub numerical_aperture: f64,
+    /// Nominal size of one camera pixel on the specimen, um. Plans the first calibration moves; measured afterwards.
+    pub nominal_um_per_px: f64,
+}
+
+/// A motorised (or hand-turned) nosepiece. A change is started and polled.
+pub trait Nosepiece: Send + Sync {
+    /// The objectives it carries.
+    fn objectives(&self) -> &[Objective];
+    /// The objective in the beam; `None` while turning or unknown.
+    fn current(&self) -> Result<Option<ObjectiveId>, ScopeError>;
+    /// Starts to change and returns at once.
+    fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError>;
+    /// What the nosepiece is doing.
+    fn poll(&self) -> Result<Motion, ScopeError>;
+    /// Stops at once where the hardware can.
+    fn stop(&self) -> Result<(), ScopeError>;
+}

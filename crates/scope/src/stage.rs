@@ -1,0 +1,211 @@
+//! The stage: what moves, along which axes, and how it is asked to.
+
+use crate::{Angle, Length, ScopeError};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// One of six axes. Rotations are right-handed about the axis of the same letter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Axis {
+    /// Translation along x.
+    X,
+    /// Translation along y.
+    Y,
+    /// Focus.
+    Z,
+    /// Rotation about x.
+    Rx,
+    /// Rotation about y.
+    Ry,
+    /// Rotation about z, in the specimen plane.
+    Rz,
+}
+
+impl Axis {
+    /// All six.
+    pub const ALL: [Axis; 6] = [Axis::X, Axis::Y, Axis::Z, Axis::Rx, Axis::Ry, Axis::Rz];
+
+    /// Whether the axis turns (radians) rather than shifts (metres).
+    pub fn is_rotation(self) -> bool {
+        matches!(self, Axis::Rx | Axis::Ry | Axis::Rz)
+    }
+
+    /// The unit people read for this axis: "um" or "deg".
+    pub fn display_unit(self) -> &'static str {
+        if self.is_rotation() { "deg" } else { "um" }
+    }
+
+    /// An SI value (m or rad) in the display unit (um or deg).
+    pub fn to_display(self, si: f64) -> f64 {
+        if self.is_rotation() {
+            Angle::from_rad(si).deg()
+        } else {
+            Length::from_m(si).um()
+        }
+    }
+}
+
+impl fmt::Display for Axis {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Axis::X => "x",
+            Axis::Y => "y",
+            Axis::Z => "z",
+            Axis::Rx => "rotation about x",
+            Axis::Ry => "rotation about y",
+            Axis::Rz => "rotation about z",
+        })
+    }
+}
+
+/// An absolute place of the stage, in the stage's own coordinates. A missing axis is one that the stage does not
+/// have, or, in a request, one to leave where it is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct StagePose {
+    /// x.
+    pub x: Option<Length>,
+    /// y.
+    pub y: Option<Length>,
+    /// Focus.
+    pub z: Option<Length>,
+    /// Rotation about x.
+    pub rx: Option<Angle>,
+    /// Rotation about y.
+    pub ry: Option<Angle>,
+    /// Rotation about z.
+    pub rz: Option<Angle>,
+}
+
+impl StagePose {
+    /// The value of one axis in SI units: metres or radians.
+    pub fn si(&self, axis: Axis) -> Option<f64> {
+        match axis {
+            Axis::X => self.x.map(Length::m),
+            Axis::Y => self.y.map(Length::m),
+            Axis::Z => self.z.map(Length::m),
+            Axis::Rx => self.rx.map(Angle::rad),
+            Axis::Ry => self.ry.map(Angle::rad),
+            Axis::Rz => self.rz.map(Angle::rad),
+        }
+    }
+
+    /// The same pose with one axis set, in SI units: metres or radians.
+    #[must_use]
+    pub fn with_si(mut self, axis: Axis, value: f64) -> Self {
+        match axis {
+            Axis::X => self.x = Some(Length::from_m(value)),
+            Axis::Y => self.y = Some(Length::from_m(value)),
+            Axis::Z => self.z = Some(Length::from_m(value)),
+            Axis::Rx => self.rx = Some(Angle::from_rad(value)),
+            Axis::Ry => self.ry = Some(Angle::from_rad(value)),
+            Axis::Rz => self.rz = Some(Angle::from_rad(value)),
+        }
+        self
+    }
+}
+
+/// Which side moves, and in which order the axes are stacked. This decides how a move changes the picture; the
+/// equations are in CONVENTIONS.md.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kinematics {
+    /// The stage carries the microscope over a resting specimen.
+    MovesMicroscope,
+    /// The stage carries the specimen; its rotation sits on top of x and y.
+    SpecimenRotationOnTop,
+    /// The stage carries the specimen; x and y sit on top of the rotation.
+    SpecimenXyOnTop,
+}
+
+/// What positive z does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PositiveZ {
+    /// Brings objective and specimen closer together.
+    Closer,
+    /// Takes them apart.
+    Apart,
+}
+
+/// One axis of a stage, in SI units (m, rad).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AxisInfo {
+    /// Which axis.
+    pub axis: Axis,
+    /// Lower end of travel.
+    pub min: f64,
+    /// Upper end of travel.
+    pub max: f64,
+    /// Half-width of the interval in which repeated arrivals at one place end.
+    pub repeatability: f64,
+}
+
+/// What a stage is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StageInfo {
+    /// Maker and model, for people.
+    pub name: String,
+    /// The axes it has. Those not listed are missing.
+    pub axes: Vec<AxisInfo>,
+    /// Which side moves.
+    pub kinematics: Kinematics,
+    /// What positive z does.
+    pub positive_z: PositiveZ,
+}
+
+impl StageInfo {
+    /// The description of one axis, if the stage has it.
+    pub fn axis(&self, axis: Axis) -> Option<&AxisInfo> {
+        self.axes.iter().find(|info| info.axis == axis)
+    }
+}
+
+/// What a moving device is doing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Motion {
+    /// Under way, or settling.
+    Moving,
+    /// At its goal, settled.
+    Settled,
+    /// Ended before its goal, by `stop` or by itself.
+    Stopped,
+}
+
+/// A motorised stage. A move is started and polled; `stop` works from any thread at any time.
+pub trait Stage: Send + Sync {
+    /// What this stage is.
+    fn info(&self) -> &StageInfo;
+    /// Where the stage says it is, all of its axes, also during motion.
+    fn position(&self) -> Result<StagePose, ScopeError>;
+    /// Starts a move of all given axes together and returns at once. Refused while another move runs.
+    fn start_move(&self, to: &StagePose) -> Result<(), ScopeError>;
+    /// What the stage is doing.
+    fn poll(&self) -> Result<Motion, ScopeError>;
+    /// Stops at once, wherever it is. Harmless when nothing moves.
+    fn stop(&self) -> Result<(), ScopeError>;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_axis_is_set_and_read_in_si_units() {
+        let mut pose = StagePose::default();
+        for (i, axis) in Axis::ALL.into_iter().enumerate() {
+            assert_eq!(pose.si(axis), None);
+            pose = pose.with_si(axis, i as f64 + 0.5);
+        }
+        for (i, axis) in Axis::ALL.into_iter().enumerate() {
+            assert_eq!(pose.si(axis), Some(i as f64 + 0.5));
+        }
+    }
+
+    #[test]
+    fn people_read_micrometres_and_degrees() {
+        assert!((Axis::X.to_display(1e-6) - 1.0).abs() < 1e-12);
+        assert!((Axis::Rz.to_display(std::f64::consts::PI) - 180.0).abs() < 1e-12);
+    }
+}
