@@ -1,1 +1,24 @@
-//! Plane transforms, closed forms, robust fits and their covariance.
+//! Plane geometry for registration: 2x2 closed forms, affine and similarity transforms, least squares, robust fits
+//! and the covariance of their results.
+//!
+//! Transforms are named `b_from_a` and map points of frame a to frame b. Everything here is a pure function; a seed is
+//! an argument. This crate knows neither images nor microscopes.
+
+mod affine;
+mod fit;
+mod mat2;
+mod ransac;
+mod rng;
+mod solve;
+
+pub use affine::{Affine2, Similarity};
+pub use fit::{
+    AffineFit, Correspondence, affine_from_3, fit_affine, fit_similarity, similarity_from_oriented,
+};
+pub use mat2::{Mat2, Svd2};
+pub use ransac::{AffineProblem, OrientedProblem, Problem, RansacOptions, RobustFit, lo_ransac};
+pub use rng::SplitMix64;
+pub use solve::{cholesky_inverse, least_squares};
+
+/// A point or vector of the plane.
+pub type Vec2 = [f64; 2];

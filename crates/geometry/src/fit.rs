@@ -1,0 +1,353 @@
+//! Transforms from correspondences: minimal and least squares, with the covariance of the result.
+
+use crate::{Affine2, Mat2, Similarity, Vec2, cholesky_inverse};
+use serde::{Deserialize, Serialize};
+
+/// One correspondence: `p_in_a` and `p_in_b` show the same thing.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Correspondence {
+    /// The point in frame a.
+    pub p_in_a: Vec2,
+    /// The point in frame b.
+    pub p_in_b: Vec2,
+    /// Standard deviation of one coordinate of the residual in b, in b's unit, up to a common factor.
+    pub sigma: f64,
+}
+
+/// An affine fit with its covariance.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AffineFit {
+    /// The transform.
+    pub b_from_a: Affine2,
+    /// Covariance of (a11, a12, b1, a21, a22, b2), the rows of the 2x3 matrix one after the other.
+    pub covariance: [[f64; 6]; 6],
+    /// Root of the weighted mean square residual per coordinate, divided by the degrees of freedom left: 1 when the
+    /// given sigmas are true.
+    pub sigma_factor: f64,
+}
+
+impl AffineFit {
+    /// 2x2 covariance, in b, of where the point `p_in_a` lands.
+    pub fn covariance_at(&self, p_in_a: Vec2) -> Mat2 {
+        let row = [p_in_a[0], p_in_a[1], 1.0];
+        let mut out = [[0.0; 2]; 2];
+        for (r, out_row) in out.iter_mut().enumerate() {
+            for (c, cell) in out_row.iter_mut().enumerate() {
+                for i in 0..3 {
+                    for j in 0..3 {
+                        *cell += row[i] * self.covariance[3 * r + i][3 * c + j] * row[j];
+                    }
+                }
+            }
+        }
+        Mat2(out)
+    }
+
+    /// Standard deviation per coordinate, in b, of where `p_in_a` lands: root of half the covariance's trace.
+    pub fn sigma_at(&self, p_in_a: Vec2) -> f64 {
+        let m = self.covariance_at(p_in_a).0;
+        ((m[0][0] + m[1][1]) / 2.0).max(0.0).sqrt()
+    }
+}
+
+/// The affine transform through three correspondences; `None` when the points in a lie on a line.
+pub fn affine_from_3(c: &[Correspondence; 3]) -> Option<Affine2> {
+    let edge = |from: Vec2, to: Vec2| [to[0] - from[0], to[1] - from[1]];
+    let (a1, a2) = (
+        edge(c[0].p_in_a, c[1].p_in_a),
+        edge(c[0].p_in_a, c[2].p_in_a),
+    );
+    let (b1, b2) = (
+        edge(c[0].p_in_b, c[1].p_in_b),
+        edge(c[0].p_in_b, c[2].p_in_b),
+    );
+    let edges_a = Mat2([[a1[0], a2[0]], [a1[1], a2[1]]]);
+    let edges_b = Mat2([[b1[0], b2[0]], [b1[1], b2[1]]]);
+    let longest_sq = (a1[0] * a1[0] + a1[1] * a1[1]).max(a2[0] * a2[0] + a2[1] * a2[1]);
+    if edges_a.det().abs() <= 1e-9 * longest_sq {
+        return None;
+    }
+    Some(through(
+        edges_b * edges_a.inverse()?,
+        c[0].p_in_a,
+        c[0].p_in_b,
+    ))
+}
+
+/// The similarity of one oriented, scaled correspondence: a keypoint at `p_in_a` with scale and angle seen at `p_in_b`
+/// with another. `None` when a scale is not positive.
+pub fn similarity_from_oriented(
+    c: &Correspondence,
+    scale_a: f64,
+    scale_b: f64,
+    angle_a_rad: f64,
+    angle_b_rad: f64,
+) -> Option<Similarity> {
+    if !(scale_a > 0.0 && scale_b > 0.0) {
+        return None;
+    }
+    let scale = scale_b / scale_a;
+    let angle_rad = angle_b_rad - angle_a_rad;
+    let offset = through(Mat2::rotation(angle_rad) * scale, c.p_in_a, c.p_in_b).offset;
+    Some(Similarity {
+        scale,
+        angle_rad,
+        offset,
+    })
+}
+
+fn through(linear: Mat2, p_in_a: Vec2, p_in_b: Vec2) -> Affine2 {
+    let moved = linear * p_in_a;
+    Affine2 {
+        linear,
+        offset: [p_in_b[0] - moved[0], p_in_b[1] - moved[1]],
+    }
+}
+
+/// Weighted means of both point sets, and the sum of weights.
+fn centroids(c: &[Correspondence], weights: &[f64]) -> (Vec2, Vec2, f64) {
+    let (mut a, mut b, mut total) = ([0.0; 2], [0.0; 2], 0.0);
+    for (c, &w) in c.iter().zip(weights) {
+        total += w;
+        for k in 0..2 {
+            a[k] += w * c.p_in_a[k];
+            b[k] += w * c.p_in_b[k];
+        }
+    }
+    (a.map(|v| v / total), b.map(|v| v / total), total)
+}
+
+/// Least squares affine over `c`, each equation weighted by `robust_weight / sigma^2`.
+///
+/// Both coordinates share one 3x3 normal matrix, so two 3-unknown problems are solved, about the centroid for
+/// conditioning. The covariance is that of the weighted fit with the residual scale found; robust weights enter
+/// through the usual sandwich. `None` with fewer than three correspondences or when they lie on a line.
+pub fn fit_affine(c: &[Correspondence], robust_weights: &[f64]) -> Option<AffineFit> {
+    assert_eq!(c.len(), robust_weights.len());
+    let weights: Vec<f64> = c
+        .iter()
+        .zip(robust_weights)
+        .map(|(c, r)| r / (c.sigma * c.sigma))
+        .collect();
+    let (mean_a, mean_b, total) = centroids(c, &weights);
+    if c.len() < 3 || !(total.is_finite() && total > 0.0) {
+        return None;
+    }
+    let row = |p: Vec2| [p[0] - mean_a[0], p[1] - mean_a[1], 1.0];
+    let mut normal = [[0.0; 3]; 3];
+    let mut right = [[0.0; 3]; 2];
+    for (c, &w) in c.iter().zip(&weights) {
+        let x = row(c.p_in_a);
+        for i in 0..3 {
+            for j in 0..3 {
+                normal[i][j] += w * x[i] * x[j];
+            }
+            for k in 0..2 {
+                right[k][i] += w * x[i] * (c.p_in_b[k] - mean_b[k]);
+            }
+        }
+    }
+    let inverse = cholesky_inverse(&normal)?;
+    let solution = right.map(|r| -> [f64; 3] { std::array::from_fn(|i| dot3(&inverse[i], &r)) });
+    let centred = Affine2 {
+        linear: Mat2([
+            [solution[0][0], solution[0][1]],
+            [solution[1][0], solution[1][1]],
+        ]),
+        offset: [solution[0][2], solution[1][2]],
+    };
+    let b_from_a = centred.recentred([-mean_a[0], -mean_a[1]], [-mean_b[0], -mean_b[1]]);
+
+    // Sandwich: inverse * (sum w^2 r^2 x x^T) * inverse, with one residual scale for all in units of sigma.
+    let (mut residuals, mut meat) = (0.0, [[0.0; 3]; 3]);
+    for ((c, &w), &robust) in c.iter().zip(&weights).zip(robust_weights) {
+        let at = b_from_a.apply(c.p_in_a);
+        let r_sq = (at[0] - c.p_in_b[0]).powi(2) + (at[1] - c.p_in_b[1]).powi(2);
+        residuals += w * r_sq;
+        let x = row(c.p_in_a);
+        for i in 0..3 {
+            for j in 0..3 {
+                meat[i][j] += w * robust * x[i] * x[j];
+            }
+        }
+    }
+    let effective: f64 = robust_weights.iter().sum();
+    let freedom = (2.0 * effective - 6.0).max(0.5);
+    let variance = residuals / freedom;
+    let block = sandwich(&inverse, &meat, variance);
+    // From centred coordinates (x - mean_a) back to plain ones: b = b_centred - a . mean_a.
+    let shift = [
+        [1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [-mean_a[0], -mean_a[1], 1.0],
+    ];
+    let block = congruence(&shift, &block);
+    let mut covariance = [[0.0; 6]; 6];
+    for i in 0..3 {
+        for j in 0..3 {
+            covariance[i][j] = block[i][j];
+            covariance[i + 3][j + 3] = block[i][j];
+        }
+    }
+    Some(AffineFit {
+        b_from_a,
+        covariance,
+        sigma_factor: variance.sqrt(),
+    })
+}
+
+fn dot3(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn sandwich(bread: &[[f64; 3]; 3], meat: &[[f64; 3]; 3], variance: f64) -> [[f64; 3]; 3] {
+    congruence(bread, meat).map(|row| row.map(|v| v * variance))
+}
+
+/// `l * m * l^T`.
+fn congruence(l: &[[f64; 3]; 3], m: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    let lm: [[f64; 3]; 3] =
+        std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| l[i][k] * m[k][j]).sum()));
+    std::array::from_fn(|i| std::array::from_fn(|j| dot3(&lm[i], &l[j])))
+}
+
+/// Least squares similarity (Umeyama 1991, in the plane closed form). `None` with fewer than two distinct points.
+pub fn fit_similarity(c: &[Correspondence]) -> Option<Similarity> {
+    let weights: Vec<f64> = c.iter().map(|c| 1.0 / (c.sigma * c.sigma)).collect();
+    let (mean_a, mean_b, total) = centroids(c, &weights);
+    if c.len() < 2 || !(total.is_finite() && total > 0.0) {
+        return None;
+    }
+    let (mut dot, mut cross, mut spread) = (0.0, 0.0, 0.0);
+    for (c, w) in c.iter().zip(&weights) {
+        let a = [c.p_in_a[0] - mean_a[0], c.p_in_a[1] - mean_a[1]];
+        let b = [c.p_in_b[0] - mean_b[0], c.p_in_b[1] - mean_b[1]];
+        dot += w * (a[0] * b[0] + a[1] * b[1]);
+        cross += w * (a[0] * b[1] - a[1] * b[0]);
+        spread += w * (a[0] * a[0] + a[1] * a[1]);
+    }
+    if spread <= 0.0 {
+        return None;
+    }
+    let (scale, angle_rad) = (f64::hypot(dot, cross) / spread, f64::atan2(cross, dot));
+    Some(Similarity {
+        scale,
+        angle_rad,
+        offset: through(Mat2::rotation(angle_rad) * scale, mean_a, mean_b).offset,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::SplitMix64;
+
+    const TRUTH: [[f64; 3]; 2] = [[4.2, -0.4, 31.0], [0.5, 4.1, -12.0]];
+
+    fn noisy(rng: &mut SplitMix64, n: usize, sigma: f64) -> Vec<Correspondence> {
+        let truth = Affine2::from(TRUTH);
+        (0..n)
+            .map(|_| {
+                let p_in_a = [rng.uniform() * 640.0, rng.uniform() * 480.0];
+                let q = truth.apply(p_in_a);
+                Correspondence {
+                    p_in_a,
+                    p_in_b: [q[0] + sigma * rng.normal(), q[1] + sigma * rng.normal()],
+                    sigma: 1.0,
+                }
+            })
+            .collect()
+    }
+
+    fn distance(a: Affine2, b: Affine2) -> f64 {
+        [[0.0, 0.0], [639.0, 0.0], [0.0, 479.0], [639.0, 479.0]]
+            .into_iter()
+            .map(|p| {
+                let (p, q) = (a.apply(p), b.apply(p));
+                f64::hypot(p[0] - q[0], p[1] - q[1])
+            })
+            .fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn zero_residual_at_the_truth() {
+        let mut rng = SplitMix64::new(3);
+        let c = noisy(&mut rng, 12, 0.0);
+        let fit = fit_affine(&c, &[1.0; 12]).unwrap();
+        assert!(distance(fit.b_from_a, TRUTH.into()) < 1e-9);
+        assert!(fit.sigma_factor < 1e-9);
+        let three = affine_from_3(&[c[0], c[1], c[2]]).unwrap();
+        assert!(distance(three, TRUTH.into()) < 1e-8);
+    }
+
+    #[test]
+    fn points_on_a_line_are_refused() {
+        let on_line = |t: f64| Correspondence {
+            p_in_a: [t, 2.0 * t + 1.0],
+            p_in_b: [t, t],
+            sigma: 1.0,
+        };
+        let c = [on_line(0.0), on_line(1.0), on_line(5.0)];
+        assert_eq!(affine_from_3(&c), None);
+        assert_eq!(fit_affine(&c, &[1.0; 3]), None);
+    }
+
+    #[test]
+    fn the_covariance_is_the_scatter_over_many_draws() {
+        let (draws, n, sigma) = (3000, 40, 0.7);
+        let mut rng = SplitMix64::new(9);
+        let places = noisy(&mut rng, n, 0.0);
+        let at = [500.0, 100.0];
+        let (mut sum_sq, mut predicted) = (0.0, 0.0);
+        let target = Affine2::from(TRUTH).apply(at);
+        for _ in 0..draws {
+            let mut c = places.clone();
+            for c in &mut c {
+                c.p_in_b[0] += sigma * rng.normal();
+                c.p_in_b[1] += sigma * rng.normal();
+            }
+            let fit = fit_affine(&c, &vec![1.0; n]).unwrap();
+            let p = fit.b_from_a.apply(at);
+            sum_sq += (p[0] - target[0]).powi(2) + (p[1] - target[1]).powi(2);
+            predicted += 2.0 * fit.sigma_at(at).powi(2);
+        }
+        let ratio = sum_sq / predicted;
+        assert!((ratio - 1.0).abs() < 0.08, "scatter / predicted = {ratio}");
+    }
+
+    #[test]
+    fn one_oriented_match_is_a_similarity() {
+        let truth = Similarity {
+            scale: 4.3,
+            angle_rad: 0.7,
+            offset: [10.0, -20.0],
+        };
+        let p_in_a = [33.0, 44.0];
+        let c = Correspondence {
+            p_in_a,
+            p_in_b: Affine2::from(truth).apply(p_in_a),
+            sigma: 1.0,
+        };
+        let s = similarity_from_oriented(&c, 2.0, 2.0 * 4.3, 0.1, 0.8).unwrap();
+        assert!(distance(s.into(), truth.into()) < 1e-9);
+        assert_eq!(similarity_from_oriented(&c, 0.0, 1.0, 0.0, 0.0), None);
+    }
+
+    #[test]
+    fn least_squares_similarity_finds_the_truth() {
+        let truth = Similarity {
+            scale: 0.5,
+            angle_rad: -2.0,
+            offset: [1.0, 2.0],
+        };
+        let c: Vec<_> = [[0.0, 0.0], [10.0, 0.0], [3.0, 8.0]]
+            .into_iter()
+            .map(|p_in_a| Correspondence {
+                p_in_a,
+                p_in_b: Affine2::from(truth).apply(p_in_a),
+                sigma: 2.0,
+            })
+            .collect();
+        assert!(distance(fit_similarity(&c).unwrap().into(), truth.into()) < 1e-9);
+    }
+}

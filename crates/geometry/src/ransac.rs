@@ -1,0 +1,417 @@
+//! Locally optimised RANSAC (Chum, Matas, Kittler 2003) with the MSAC cost (Torr, Zisserman 2000). The loop knows no
+//! geometry: a [`Problem`] makes models from samples and measures residuals.
+
+use crate::{
+    Affine2, Correspondence, SplitMix64, affine_from_3, fit_affine, similarity_from_oriented,
+};
+
+/// What the loop needs to know of a problem.
+pub trait Problem {
+    /// What is estimated.
+    type Model: Clone;
+    /// Number of data.
+    fn len(&self) -> usize;
+    /// Whether there are no data.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+    /// Data that a minimal sample needs.
+    fn sample_size(&self) -> usize;
+    /// How much wider than the final threshold a minimal model's inliers may lie: large where the minimal model is
+    /// coarse.
+    fn slack(&self) -> f64;
+    /// The model through a minimal sample, if it is a possible one.
+    fn minimal(&self, sample: &[usize]) -> Option<Self::Model>;
+    /// The model that fits the given data best, if it is a possible one.
+    fn refine(&self, inliers: &[usize]) -> Option<Self::Model>;
+    /// Squared residual of one datum, in units of the threshold's square.
+    fn residual_sq(&self, model: &Self::Model, datum: usize) -> f64;
+}
+
+/// How long and how strictly to search.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RansacOptions {
+    /// A datum is an inlier when its residual is at most this.
+    pub threshold: f64,
+    /// The search ends when a better model than the best so far was missed with less than this probability.
+    pub miss_probability: f64,
+    /// The search ends after this many samples in any case.
+    pub max_samples: usize,
+    /// Equal seeds give equal results.
+    pub seed: u64,
+}
+
+impl Default for RansacOptions {
+    fn default() -> Self {
+        Self {
+            threshold: 3.0,
+            miss_probability: 1e-6,
+            max_samples: 5000,
+            seed: 0,
+        }
+    }
+}
+
+/// The best model found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RobustFit<M> {
+    /// The model.
+    pub model: M,
+    /// The data within the threshold, ascending.
+    pub inliers: Vec<usize>,
+    /// MSAC cost: each datum adds its squared residual over the threshold's, at most 1.
+    pub cost: f64,
+    /// Samples drawn.
+    pub samples: usize,
+}
+
+/// Searches for the model with the least MSAC cost. `None` when no sample gives a model that two data more than a
+/// sample agree with.
+pub fn lo_ransac<P: Problem>(problem: &P, options: &RansacOptions) -> Option<RobustFit<P::Model>> {
+    let (n, size) = (problem.len(), problem.sample_size());
+    if n < size {
+        return None;
+    }
+    let slack_sq = (options.threshold * problem.slack()).powi(2);
+    let mut rng = SplitMix64::new(options.seed);
+    let mut best: Option<RobustFit<P::Model>> = None;
+    let mut best_minimal = f64::INFINITY;
+    let mut needed = options.max_samples;
+    let mut order = Permutation::new(n);
+    let mut samples = 0;
+    while samples < needed.min(options.max_samples) {
+        let Some(sample) = order.sample(size, &mut rng) else {
+            break;
+        };
+        samples += 1;
+        let Some(minimal) = problem.minimal(&sample) else {
+            continue;
+        };
+        let (cost, _) = score(problem, &minimal, slack_sq, false);
+        // Only a minimal model at least as good as any before is worth the local optimisation.
+        if cost >= best_minimal {
+            continue;
+        }
+        best_minimal = cost;
+        let Some(local) = optimise(problem, minimal, options.threshold) else {
+            continue;
+        };
+        if best.as_ref().is_none_or(|b| local.cost < b.cost) {
+            let share = local.inliers.len() as f64 / n as f64;
+            needed = samples_needed(share, size, options.miss_probability);
+            best = Some(local);
+        }
+    }
+    best.filter(|b| b.inliers.len() >= size + 2)
+        .map(|b| RobustFit { samples, ..b })
+}
+
+/// Refits while the threshold shrinks from the slack of a minimal model to its final value, then to a fixed point.
+fn optimise<P: Problem>(
+    problem: &P,
+    minimal: P::Model,
+    threshold: f64,
+) -> Option<RobustFit<P::Model>> {
+    let mut model = minimal;
+    let mut inliers = score(problem, &model, (threshold * problem.slack()).powi(2), true).1;
+    for factor in [problem.slack(), problem.slack().sqrt(), 1.0, 1.0, 1.0] {
+        model = problem.refine(&inliers)?;
+        let next = score(problem, &model, (threshold * factor).powi(2), true).1;
+        if factor == 1.0 && next == inliers {
+            break;
+        }
+        inliers = next;
+    }
+    let (cost, inliers) = score(problem, &model, threshold * threshold, true);
+    Some(RobustFit {
+        model,
+        inliers,
+        cost,
+        samples: 0,
+    })
+}
+
+fn score<P: Problem>(
+    problem: &P,
+    model: &P::Model,
+    threshold_sq: f64,
+    list: bool,
+) -> (f64, Vec<usize>) {
+    let mut cost = 0.0;
+    let mut inliers = Vec::new();
+    for i in 0..problem.len() {
+        let r_sq = problem.residual_sq(model, i) / threshold_sq;
+        if r_sq <= 1.0 {
+            cost += r_sq;
+            if list {
+                inliers.push(i);
+            }
+        } else {
+            cost += 1.0;
+        }
+    }
+    (cost, inliers)
+}
+
+fn samples_needed(inlier_share: f64, size: usize, miss_probability: f64) -> usize {
+    let good = inlier_share.powi(size as i32);
+    if good >= 1.0 {
+        return 1;
+    }
+    let needed = miss_probability.ln() / (1.0 - good).ln();
+    if needed.is_finite() {
+        needed.ceil() as usize
+    } else {
+        usize::MAX
+    }
+}
+
+/// Samples without repetition inside a sample; samples of one visit every datum once before any twice.
+struct Permutation {
+    order: Vec<usize>,
+    next: usize,
+}
+
+impl Permutation {
+    fn new(n: usize) -> Self {
+        Self {
+            order: (0..n).collect(),
+            next: 0,
+        }
+    }
+
+    fn sample(&mut self, size: usize, rng: &mut SplitMix64) -> Option<Vec<usize>> {
+        let n = self.order.len();
+        if size == 1 {
+            if self.next == n {
+                return None;
+            }
+            let pick = self.next + rng.below(n - self.next);
+            self.order.swap(self.next, pick);
+            self.next += 1;
+            return Some(vec![self.order[self.next - 1]]);
+        }
+        for k in 0..size {
+            let pick = k + rng.below(n - k);
+            self.order.swap(k, pick);
+        }
+        Some(self.order[..size].to_vec())
+    }
+}
+
+/// The paper's problem: an affine transform from three correspondences.
+pub struct AffineProblem<'a> {
+    /// The data.
+    pub correspondences: &'a [Correspondence],
+    /// Which transforms are possible at all.
+    pub possible: &'a dyn Fn(&Affine2) -> bool,
+}
+
+fn residual_sq(model: &Affine2, c: &Correspondence) -> f64 {
+    let q = model.apply(c.p_in_a);
+    let d = [q[0] - c.p_in_b[0], q[1] - c.p_in_b[1]];
+    (d[0] * d[0] + d[1] * d[1]) / (c.sigma * c.sigma)
+}
+
+fn refine(
+    correspondences: &[Correspondence],
+    inliers: &[usize],
+    possible: &dyn Fn(&Affine2) -> bool,
+) -> Option<Affine2> {
+    let chosen: Vec<Correspondence> = inliers.iter().map(|&i| correspondences[i]).collect();
+    let fit = fit_affine(&chosen, &vec![1.0; chosen.len()])?;
+    possible(&fit.b_from_a).then_some(fit.b_from_a)
+}
+
+impl Problem for AffineProblem<'_> {
+    type Model = Affine2;
+    fn len(&self) -> usize {
+        self.correspondences.len()
+    }
+    fn sample_size(&self) -> usize {
+        3
+    }
+    fn slack(&self) -> f64 {
+        2.0
+    }
+    fn minimal(&self, sample: &[usize]) -> Option<Affine2> {
+        let c = [0, 1, 2].map(|k| self.correspondences[sample[k]]);
+        affine_from_3(&c).filter(|m| (self.possible)(m))
+    }
+    fn refine(&self, inliers: &[usize]) -> Option<Affine2> {
+        refine(self.correspondences, inliers, self.possible)
+    }
+    fn residual_sq(&self, model: &Affine2, datum: usize) -> f64 {
+        residual_sq(model, &self.correspondences[datum])
+    }
+}
+
+/// The same transform from single oriented, scaled correspondences: every keypoint match is a hypothesis by itself.
+pub struct OrientedProblem<'a> {
+    /// The data.
+    pub correspondences: &'a [Correspondence],
+    /// Scale in a, scale in b, angle in a (rad), angle in b (rad) of each datum.
+    pub oriented: &'a [[f64; 4]],
+    /// Which transforms are possible at all.
+    pub possible: &'a dyn Fn(&Affine2) -> bool,
+}
+
+impl Problem for OrientedProblem<'_> {
+    type Model = Affine2;
+    fn len(&self) -> usize {
+        self.correspondences.len()
+    }
+    fn sample_size(&self) -> usize {
+        1
+    }
+    fn slack(&self) -> f64 {
+        6.0
+    }
+    fn minimal(&self, sample: &[usize]) -> Option<Affine2> {
+        let i = sample[0];
+        let [scale_a, scale_b, angle_a, angle_b] = self.oriented[i];
+        similarity_from_oriented(&self.correspondences[i], scale_a, scale_b, angle_a, angle_b)
+            .map(Affine2::from)
+    }
+    fn refine(&self, inliers: &[usize]) -> Option<Affine2> {
+        refine(self.correspondences, inliers, self.possible)
+    }
+    fn residual_sq(&self, model: &Affine2, datum: usize) -> f64 {
+        residual_sq(model, &self.correspondences[datum])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Similarity;
+
+    struct Scene {
+        correspondences: Vec<Correspondence>,
+        oriented: Vec<[f64; 4]>,
+        truth: Affine2,
+        good: usize,
+    }
+
+    /// `good` true matches with 0.3 px noise, then `bad` random ones.
+    fn scene(good: usize, bad: usize, seed: u64) -> Scene {
+        let mut rng = SplitMix64::new(seed);
+        let truth = Affine2::from(Similarity {
+            scale: 1.3,
+            angle_rad: 0.4,
+            offset: [20.0, -30.0],
+        });
+        let mut correspondences = Vec::new();
+        let mut oriented = Vec::new();
+        for i in 0..good + bad {
+            let p_in_a = [rng.uniform() * 640.0, rng.uniform() * 480.0];
+            let q = truth.apply(p_in_a);
+            let angle = rng.uniform() * 6.0;
+            if i < good {
+                correspondences.push(Correspondence {
+                    p_in_a,
+                    p_in_b: [q[0] + 0.3 * rng.normal(), q[1] + 0.3 * rng.normal()],
+                    sigma: 1.0,
+                });
+                let scale_b = 2.0 * 1.3 * (1.0 + 0.03 * rng.normal());
+                oriented.push([2.0, scale_b, angle, angle + 0.4 + 0.03 * rng.normal()]);
+            } else {
+                correspondences.push(Correspondence {
+                    p_in_a,
+                    p_in_b: [rng.uniform() * 640.0, rng.uniform() * 480.0],
+                    sigma: 1.0,
+                });
+                oriented.push([2.0, 1.0 + 4.0 * rng.uniform(), angle, 6.0 * rng.uniform()]);
+            }
+        }
+        Scene {
+            correspondences,
+            oriented,
+            truth,
+            good,
+        }
+    }
+
+    fn check(scene: &Scene, fit: &RobustFit<Affine2>) {
+        let found = fit.inliers.iter().filter(|&&i| i < scene.good).count();
+        assert!(found as f64 >= 0.97 * scene.good as f64, "{found}");
+        for p in [[0.0, 0.0], [639.0, 479.0]] {
+            let (a, b) = (fit.model.apply(p), scene.truth.apply(p));
+            assert!(f64::hypot(a[0] - b[0], a[1] - b[1]) < 0.6);
+        }
+    }
+
+    #[test]
+    fn three_point_affine_survives_sixty_percent_outliers() {
+        for seed in 0..10 {
+            let scene = scene(80, 120, seed);
+            let problem = AffineProblem {
+                correspondences: &scene.correspondences,
+                possible: &|_| true,
+            };
+            check(
+                &scene,
+                &lo_ransac(
+                    &problem,
+                    &RansacOptions {
+                        seed,
+                        ..Default::default()
+                    },
+                )
+                .unwrap(),
+            );
+        }
+    }
+
+    #[test]
+    fn one_oriented_match_survives_ninety_five_percent_outliers() {
+        for seed in 0..10 {
+            let scene = scene(40, 760, seed);
+            let problem = OrientedProblem {
+                correspondences: &scene.correspondences,
+                oriented: &scene.oriented,
+                possible: &|_| true,
+            };
+            check(
+                &scene,
+                &lo_ransac(
+                    &problem,
+                    &RansacOptions {
+                        seed,
+                        ..Default::default()
+                    },
+                )
+                .unwrap(),
+            );
+        }
+    }
+
+    #[test]
+    fn equal_seeds_give_equal_results() {
+        let scene = scene(60, 200, 5);
+        let problem = AffineProblem {
+            correspondences: &scene.correspondences,
+            possible: &|_| true,
+        };
+        let options = RansacOptions {
+            seed: 11,
+            ..Default::default()
+        };
+        assert_eq!(lo_ransac(&problem, &options), lo_ransac(&problem, &options));
+    }
+
+    #[test]
+    fn too_few_data_or_nothing_possible_is_none() {
+        let scene = scene(10, 0, 1);
+        let problem = AffineProblem {
+            correspondences: &scene.correspondences[..2],
+            possible: &|_| true,
+        };
+        assert!(lo_ransac(&problem, &RansacOptions::default()).is_none());
+        let problem = AffineProblem {
+            correspondences: &scene.correspondences,
+            possible: &|_| false,
+        };
+        assert!(lo_ransac(&problem, &RansacOptions::default()).is_none());
+    }
+}
