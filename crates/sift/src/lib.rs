@@ -1,1 +1,46 @@
-//! SIFT features: detect, orient, describe, match. Knows no microscope and no geometry.
+//! SIFT features: detect, orient, describe, match (Lowe, *Distinctive Image Features from Scale-Invariant Keypoints*, IJCV 2004),
+//! with RootSIFT descriptors (Arandjelovic & Zisserman, CVPR 2012). Knows no microscope and no geometry.
+//!
+//! The stages, in the order of the data: `scale_space` (Gaussians and their differences, octave by octave), `contrast` (how
+//! strong an extremum must be), `detect` (extrema, refined below a pixel), `orient`, `describe`, then [`match_features`].
+//! [`detect_and_describe`] walks through them; [`Features`] are a value to keep.
+//!
+//! Coordinates: integer coordinates are pixel centres, x along the row, y down, angles from +x towards +y. The doubled first
+//! octave and the decimated later ones keep this grid exactly, so positions carry no constant offset.
+//!
+//! Everything here is portable scalar code, written so that compilers vectorise it, and gives the same bits on any number of
+//! threads.
+//!
+//! ```
+//! use scopeservo_sift::{GrayImage, MatchOptions, Options, detect_and_describe, match_features};
+//!
+//! let blobs = |x: f32, y: f32| (0.3 * x).sin() * (0.4 * y).cos() + (0.13 * x + 0.21 * y).sin();
+//! let here = GrayImage::from_fn(120, 100, |x, y| blobs(x as f32, y as f32))?;
+//! let moved = GrayImage::from_fn(120, 100, |x, y| blobs(x as f32 + 2.5, y as f32))?;
+//! let here = detect_and_describe(&here, &Options::default())?;
+//! let moved = detect_and_describe(&moved, &Options::default())?;
+//! for m in match_features(&here, &moved, &MatchOptions::default()) {
+//!     let (a, b) = (here.keypoints[m.query], moved.keypoints[m.train]);
+//!     let _shift = (b.x - a.x, b.y - a.y); // mostly (-2.5, 0)
+//! }
+//! # Ok::<(), scopeservo_sift::SiftError>(())
+//! ```
+
+mod contrast;
+mod describe;
+mod detect;
+mod error;
+mod features;
+mod gradient;
+mod image;
+mod matching;
+mod options;
+mod orient;
+mod scale_space;
+
+pub use describe::Descriptor;
+pub use error::SiftError;
+pub use features::{Features, Keypoint, detect_and_describe};
+pub use image::GrayImage;
+pub use matching::{Match, MatchOptions, match_features, match_features_gated};
+pub use options::Options;

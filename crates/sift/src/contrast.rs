@@ -1,0 +1,180 @@
+//! The least |DoG| that counts as a feature, fitted to the image.
+//!
+//! Lowe's fixed threshold (IJCV 2004, section 4) is meant for images that fill 0..=1. A dim or washed-out image has the same
+//! structures with less amplitude, so the threshold here is in units of the image's own spread, and at least a multiple of what
+//! its noise gives in the same DoG layer. Multiplying an image by a constant or adding one changes nothing.
+
+use crate::{GrayImage, Options};
+
+/// Extrema must exceed the standard deviation of the noise in their DoG layer by this factor.
+const NOISE_FACTOR: f32 = 3.0;
+
+/// The spread is at least the full range divided by this: a few bright spots on black have no 1-99 % range.
+const FULL_RANGE_DIVISOR: f32 = 16.0;
+
+/// Rounding in the blurs reaches about 2e-7 of the values; the threshold stays well above it.
+const ROUNDING: f32 = 4e-6;
+
+/// Samples from which percentiles are estimated.
+const SAMPLES: usize = 1 << 16;
+
+/// Threshold on |DoG| for any layer of any octave.
+#[derive(Debug, Clone)]
+pub(crate) struct Contrast {
+    /// Without noise, the same in all layers.
+    base: f32,
+    /// Standard deviation of white noise per input pixel.
+    noise: f32,
+}
+
+impl Contrast {
+    /// `None` for an image without any structure above rounding.
+    pub(crate) fn of(image: &GrayImage, options: &Options) -> Option<Self> {
+        let data = image.data();
+        let (low, high) = data
+            .iter()
+            .fold((f32::MAX, f32::MIN), |(l, h), &v| (l.min(v), h.max(v)));
+        let rounding = ROUNDING * high.abs().max(low.abs());
+        if high - low <= rounding {
+            return None;
+        }
+        let threshold = options.contrast_threshold / options.intervals as f32;
+        if !options.adapt_contrast {
+            return Some(Self {
+                base: threshold.max(rounding),
+                noise: 0.0,
+            });
+        }
+        let spread = percentile_range(data).max((high - low) / FULL_RANGE_DIVISOR);
+        Some(Self {
+            base: (threshold * spread).max(rounding),
+            noise: noise_sigma(image),
+        })
+    }
+
+    /// The threshold in DoG layer `layer` of octave `octave`.
+    pub(crate) fn threshold(&self, options: &Options, octave: i32, layer: usize) -> f32 {
+        let scale = (octave as f32).exp2();
+        let filter_variance = |s: usize| {
+            let sigma = scale * options.sigma_at(s as f32);
+            (sigma * sigma - options.assumed_blur * options.assumed_blur).max(0.01)
+        };
+        let gain = dog_noise_gain(filter_variance(layer), filter_variance(layer + 1));
+        self.base.max(NOISE_FACTOR * gain * self.noise)
+    }
+}
+
+/// Standard deviation of unit white noise after the difference of two Gaussians with variances `a` and `b` (in pixels squared):
+/// the L2 norm of that difference, `sqrt((1/a + 1/b - 4/(a + b)) / (4 pi))`.
+fn dog_noise_gain(a: f32, b: f32) -> f32 {
+    ((1.0 / a + 1.0 / b - 4.0 / (a + b)).max(0.0) / (4.0 * std::f32::consts::PI)).sqrt()
+}
+
+/// 99th minus 1st percentile of a regular sample.
+fn percentile_range(data: &[f32]) -> f32 {
+    let mut sample: Vec<f32> = data
+        .iter()
+        .step_by(data.len().div_ceil(SAMPLES))
+        .copied()
+        .collect();
+    let last = sample.len() - 1;
+    let rank = last / 100;
+    let low = *sample.select_nth_unstable_by(rank, f32::total_cmp).1;
+    let high = *sample.select_nth_unstable_by(last - rank, f32::total_cmp).1;
+    high - low
+}
+
+/// Standard deviation of white noise: median absolute response of the mask `[1 -2 1] x [1 -2 1]`, which has gain 6 for noise and
+/// next to none for anything that optics have blurred (Immerkaer, CVIU 1996; the median ignores the edges that remain).
+fn noise_sigma(image: &GrayImage) -> f32 {
+    let (w, h) = (image.width(), image.height());
+    if w < 3 || h < 3 {
+        return 0.0;
+    }
+    let count = (w - 2) * (h - 2);
+    let mut response: Vec<f32> = (0..count)
+        .step_by(count.div_ceil(SAMPLES))
+        .map(|i| {
+            let (x, y) = (i % (w - 2), i / (w - 2));
+            let second = |y: usize| {
+                let row = &image.data()[y * w + x..][..3];
+                row[0] - 2.0 * row[1] + row[2]
+            };
+            (second(y) - 2.0 * second(y + 1) + second(y + 2)).abs()
+        })
+        .collect();
+    let middle = response.len() / 2;
+    *response.select_nth_unstable_by(middle, f32::total_cmp).1 / (6.0 * 0.6745)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scale_space::Octaves;
+
+    /// Hash noise with mean 0 and variance 1 (sum of twelve uniforms).
+    fn noise(i: usize) -> f32 {
+        let mut state = (i as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ 0xD1B5_4A32_D192_ED03;
+        (0..12)
+            .map(|_| {
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                (state >> 40) as f32 / (1_u64 << 24) as f32 - 0.5
+            })
+            .sum()
+    }
+
+    #[test]
+    fn noise_is_measured_under_structure() {
+        let image = GrayImage::from_fn(200, 150, |x, y| {
+            0.5 + 0.3 * (x as f32 * 0.2).sin() * (y as f32 * 0.15).cos() + 0.01 * noise(y * 200 + x)
+        });
+        let sigma = noise_sigma(&image.unwrap());
+        assert!((0.0095..0.0115).contains(&sigma), "{sigma}");
+    }
+
+    #[test]
+    fn predicted_noise_in_each_dog_layer_is_what_the_scale_space_has() {
+        let options = Options::default();
+        let image = GrayImage::from_fn(200, 200, |x, y| noise(y * 200 + x)).unwrap();
+        let contrast = Contrast {
+            base: 0.0,
+            noise: 1.0,
+        };
+        for octave in Octaves::new(&image, &options).take(3) {
+            for layer in 1..=3 {
+                let d = &octave.differences[layer].data;
+                let std = (d.iter().map(|v| v * v).sum::<f32>() / d.len() as f32).sqrt();
+                let predicted = contrast.threshold(&options, octave.index, layer) / NOISE_FACTOR;
+                assert!(
+                    (0.7..1.3).contains(&(predicted / std)),
+                    "{} {layer}: {predicted} {std}",
+                    octave.index
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn threshold_follows_gain_and_ignores_offset() {
+        let options = Options::default();
+        let render = |gain: f32, offset: f32| {
+            let image = GrayImage::from_fn(64, 64, |x, y| {
+                offset + gain * (x as f32 * 0.3).sin() * (y as f32 * 0.2).cos()
+            });
+            Contrast::of(&image.unwrap(), &options)
+                .unwrap()
+                .threshold(&options, 0, 1)
+        };
+        assert!((render(0.1, 0.4) / render(1.0, 0.0) - 0.1).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_constant_image_has_no_contrast() {
+        for v in [0.0, 0.7, -3.0] {
+            let image = GrayImage::new(20, 20, vec![v; 400]).unwrap();
+            assert!(Contrast::of(&image, &Options::default()).is_none());
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! What can go wrong before or after the arithmetic. The arithmetic itself does not fail: an image without features gives
+//! empty [`Features`](crate::Features).
+
+/// An input that this crate refuses, with what it found and what it needs.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SiftError {
+    /// An image without pixels.
+    #[error("an image needs at least one row and one column, got {width} x {height}")]
+    EmptyImage {
+        /// Columns asked for.
+        width: usize,
+        /// Rows asked for.
+        height: usize,
+    },
+    /// The pixel buffer does not hold `width * height` values.
+    #[error(
+        "an image of {width} x {height} pixels needs width * height values, got {found}; pass rows without padding"
+    )]
+    DataLength {
+        /// Columns asked for.
+        width: usize,
+        /// Rows asked for.
+        height: usize,
+        /// Values in the buffer.
+        found: usize,
+    },
+    /// A pixel is NaN or infinite.
+    #[error(
+        "pixel ({x}, {y}) is {value}; replace values that are not finite before detecting features"
+    )]
+    NotFinite {
+        /// Column of the first such pixel.
+        x: usize,
+        /// Row of the first such pixel.
+        y: usize,
+        /// The value found.
+        value: f32,
+    },
+    /// An option outside its range.
+    #[error("option `{name}` is {value}; it must be {need}")]
+    Option {
+        /// Field of [`Options`](crate::Options).
+        name: &'static str,
+        /// The value found.
+        value: f64,
+        /// The range in words.
+        need: &'static str,
+    },
+    /// Features, usually deserialised ones, with unequal numbers of keypoints and descriptors.
+    #[error(
+        "features hold {keypoints} keypoints but {descriptors} descriptors; the stored file is damaged, detect again"
+    )]
+    FeatureLengths {
+        /// Number of keypoints.
+        keypoints: usize,
+        /// Number of descriptors.
+        descriptors: usize,
+    },
+    /// A keypoint that is not finite, has no size or lies outside its image.
+    #[error(
+        "keypoint {index} is not finite, has no size or lies outside its image; the stored file is damaged, detect again"
+    )]
+    BadKeypoint {
+        /// Index of the first such keypoint.
+        index: usize,
+    },
+}
