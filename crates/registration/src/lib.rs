@@ -1,1 +1,14 @@
-//! Two images to target_from_view, its covariance and a verdict.
+//! Two images, or their features, to `target_from_view`: the affine transform that takes a pixel of the view to the
+//! pixel of the target showing the same thing, with its covariance and a verdict.
+//!
+//! 1. [`correspond`](correspondences): exact two-nearest matches, only between keypoints that the [`Prior`] allows.
+//! 2. LO-RANSAC from single oriented matches (or from three, the paper's way), then a robust weighted fit.
+//! 3. [`significance`]: a match set is *found* when so many agreeing places would come up by chance less than once in
+//!    `1 / false_alarms` registrations, the transform is a possible one, and it is determined well enough.
+
+mod correspond;
+mod register;
+pub mod significance;
+
+pub use correspond::{Prior, RotationPrior, ScalePrior, correspondences};
+pub use register::{Estimate, Method, NotFound, Options, Registration, register};

@@ -1,0 +1,199 @@
+//! Matches between view and target, gated by what is known before looking.
+
+use scopeservo_geometry::{Affine2, Correspondence};
+use scopeservo_sift::{Features, Keypoint, Match, MatchOptions, match_features_gated};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::{PI, TAU};
+
+/// How far the scale of two matched keypoints may be from the scale of the whole picture: factor. SIFT's scales
+/// scatter by one step of its scale space (1.26) at most in nearly all true matches.
+const KEYPOINT_SCALE_SLACK: f64 = 1.6;
+/// How far the angle of two matched keypoints may be from the rotation of the whole picture.
+const KEYPOINT_ANGLE_SLACK_RAD: f64 = 0.4;
+
+/// Lengths in the target over lengths in the view.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ScalePrior {
+    /// Target pixels per view pixel.
+    pub ratio: f64,
+    /// Relative tolerance, also for the difference between the two axes.
+    pub tolerance: f64,
+}
+
+/// Rotation from view to target.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RotationPrior {
+    /// Expected angle, radians, +x towards +y.
+    pub angle_rad: f64,
+    /// Half-width of the interval.
+    pub tolerance_rad: f64,
+}
+
+/// What a calibration tells of the transform before the images are looked at.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Prior {
+    /// The scale, if known.
+    pub scale: Option<ScalePrior>,
+    /// The rotation, if known.
+    pub rotation: Option<RotationPrior>,
+}
+
+impl Prior {
+    /// Whether two keypoints may show the same thing.
+    pub(crate) fn admits(&self, view: &Keypoint, target: &Keypoint) -> bool {
+        self.scale.is_none_or(|s| {
+            let ratio = f64::from(target.sigma) / (f64::from(view.sigma) * s.ratio);
+            let slack = KEYPOINT_SCALE_SLACK * (1.0 + s.tolerance);
+            ratio < slack && ratio > 1.0 / slack
+        }) && self.rotation.is_none_or(|r| {
+            let turn = f64::from(target.angle) - f64::from(view.angle) - r.angle_rad;
+            wrap(turn).abs() < r.tolerance_rad + KEYPOINT_ANGLE_SLACK_RAD
+        })
+    }
+
+    /// Whether a transform is one that a microscope at this prior can produce: no mirror (SIFT cannot match one), no
+    /// collapse, both axes within the tolerance of the scale.
+    pub(crate) fn allows(&self, target_from_view: &Affine2) -> bool {
+        let linear = target_from_view.linear;
+        let Some(angle) = linear.rotation_angle() else {
+            return false;
+        };
+        let s = linear.svd().s;
+        let scale_fits = match self.scale {
+            Some(p) => s.iter().all(|s| (s / p.ratio - 1.0).abs() <= p.tolerance),
+            None => s[1] > 0.05 && s[0] < 20.0 && s[0] / s[1] < 1.15,
+        };
+        scale_fits
+            && self
+                .rotation
+                .is_none_or(|r| wrap(angle - r.angle_rad).abs() <= r.tolerance_rad)
+    }
+
+    /// The share of random keypoint pairs, among those this prior admits, that still agree in angle and scale with
+    /// one transform: the part of the chance that does not come from position.
+    pub(crate) fn chance_of_coherence(&self) -> f64 {
+        let free_half_width = self
+            .rotation
+            .map_or(PI, |r| (r.tolerance_rad + KEYPOINT_ANGLE_SLACK_RAD).min(PI));
+        (KEYPOINT_ANGLE_SLACK_RAD / free_half_width).min(1.0)
+    }
+}
+
+/// Whether two keypoints turn as the transform does, and scale as it does.
+pub(crate) fn coherent(view: &Keypoint, target: &Keypoint, transform: &Affine2) -> bool {
+    let Some(angle) = transform.linear.rotation_angle() else {
+        return false;
+    };
+    let scale = transform.linear.det().sqrt();
+    let turn = wrap(f64::from(target.angle) - f64::from(view.angle) - angle);
+    let ratio = f64::from(target.sigma) / (f64::from(view.sigma) * scale);
+    turn.abs() < KEYPOINT_ANGLE_SLACK_RAD
+        && ratio < KEYPOINT_SCALE_SLACK
+        && ratio > 1.0 / KEYPOINT_SCALE_SLACK
+}
+
+/// An angle in (-pi, pi].
+pub(crate) fn wrap(angle: f64) -> f64 {
+    let a = angle.rem_euclid(TAU);
+    if a > PI { a - TAU } else { a }
+}
+
+/// Matches view features to target features (exact brute force, ratio and mutual test) among admissible pairs.
+///
+/// The sigma of each correspondence is in target pixels, up to a common factor: localisation noise grows with the
+/// scale of the keypoint, in both images.
+pub fn correspondences(
+    view: &Features,
+    target: &Features,
+    prior: &Prior,
+    options: &MatchOptions,
+) -> (Vec<Match>, Vec<Correspondence>) {
+    let matches = match_features_gated(view, target, options, |v, t| prior.admits(v, t));
+    let ratio = prior.scale.map(|s| s.ratio);
+    let pairs = matches
+        .iter()
+        .map(|m| {
+            let (v, t) = (&view.keypoints[m.query], &target.keypoints[m.train]);
+            let (sv, st) = (f64::from(v.sigma), f64::from(t.sigma));
+            Correspondence {
+                p_in_a: [f64::from(v.x), f64::from(v.y)],
+                p_in_b: [f64::from(t.x), f64::from(t.y)],
+                sigma: f64::hypot(st, sv * ratio.unwrap_or(st / sv)),
+            }
+        })
+        .collect();
+    (matches, pairs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scopeservo_geometry::{Mat2, Similarity};
+
+    fn keypoint(sigma: f32, angle: f32) -> Keypoint {
+        Keypoint {
+            x: 0.0,
+            y: 0.0,
+            sigma,
+            angle,
+            response: 1.0,
+            octave: 0,
+            layer: 1,
+        }
+    }
+
+    #[test]
+    fn the_prior_admits_what_the_scale_and_angle_allow() {
+        let prior = Prior {
+            scale: Some(ScalePrior {
+                ratio: 4.0,
+                tolerance: 0.05,
+            }),
+            rotation: Some(RotationPrior {
+                angle_rad: 3.1,
+                tolerance_rad: 0.1,
+            }),
+        };
+        // 3.1 rad and -3.1 rad are neighbours across the wrap.
+        assert!(prior.admits(&keypoint(2.0, 0.0), &keypoint(8.5, -3.1)));
+        assert!(!prior.admits(&keypoint(2.0, 0.0), &keypoint(8.5, 1.0)));
+        assert!(!prior.admits(&keypoint(2.0, 0.0), &keypoint(2.0, 3.1)));
+        assert!(Prior::default().admits(&keypoint(1.0, 0.0), &keypoint(50.0, 2.0)));
+    }
+
+    #[test]
+    fn mirrors_and_collapses_are_not_allowed() {
+        let prior = Prior::default();
+        let ok = Affine2::from(Similarity {
+            scale: 2.0,
+            angle_rad: 2.0,
+            offset: [0.0; 2],
+        });
+        assert!(prior.allows(&ok));
+        for linear in [
+            Mat2::diagonal(1.0, -1.0),
+            Mat2::diagonal(1.0, 0.0),
+            Mat2::diagonal(1e-3, 1e-3),
+            Mat2::diagonal(1.0, 0.5),
+        ] {
+            assert!(!prior.allows(&Affine2 {
+                linear,
+                offset: [0.0; 2]
+            }));
+        }
+    }
+
+    #[test]
+    fn a_known_rotation_leaves_less_to_chance() {
+        let free = Prior::default().chance_of_coherence();
+        assert!((free - KEYPOINT_ANGLE_SLACK_RAD / PI).abs() < 1e-12);
+        let known = Prior {
+            scale: None,
+            rotation: Some(RotationPrior {
+                angle_rad: 0.0,
+                tolerance_rad: 0.0,
+            }),
+        };
+        assert_eq!(known.chance_of_coherence(), 1.0);
+    }
+}

@@ -1,0 +1,385 @@
+//! Features of view and target to a transform with a verdict.
+
+use crate::correspond::coherent;
+use crate::significance::{log10_nfa, occupied_area, unique_places};
+use crate::{Prior, correspondences};
+use scopeservo_geometry::{
+    Affine2, AffineFit, AffineProblem, Correspondence, OrientedProblem, RansacOptions, Vec2,
+    fit_affine, lo_ransac,
+};
+use scopeservo_sift::{Features, MatchOptions};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// How minimal hypotheses are made.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// From one oriented, scaled match.
+    #[default]
+    Oriented,
+    /// From three matches, as in the paper.
+    ThreePoint,
+}
+
+/// Settings of a registration.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Options {
+    /// Nearest over second nearest descriptor distance, at most.
+    pub ratio: f32,
+    /// A match agrees with the transform when it lands this near, in pixels of the coarser image.
+    pub threshold_px: f64,
+    /// Expected number of false "found" per registration of unrelated images, at most.
+    pub false_alarms: f64,
+    /// A transform is refused when the predicted standard deviation of a view corner, in target pixels, is larger.
+    pub max_corner_sigma_px: f64,
+    /// How minimal hypotheses are made.
+    pub method: Method,
+    /// Seed of the random samples.
+    pub seed: u64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            ratio: 0.85,
+            threshold_px: 2.5,
+            false_alarms: 1e-6,
+            max_corner_sigma_px: 12.0,
+            method: Method::Oriented,
+            seed: 0,
+        }
+    }
+}
+
+/// Why a registration was not found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Error)]
+#[serde(tag = "code", rename_all = "snake_case")]
+pub enum NotFound {
+    /// An image has too little texture.
+    #[error(
+        "too little texture: {view} features in the view and {target} in the target, {needed} are needed in each"
+    )]
+    TooFewFeatures {
+        /// Features of the view.
+        view: usize,
+        /// Features of the target.
+        target: usize,
+        /// Needed in each.
+        needed: usize,
+    },
+    /// Hardly anything in one image looks like anything in the other.
+    #[error(
+        "only {matches} features of the view look like features of the target, {needed} are needed"
+    )]
+    TooFewMatches {
+        /// Matches after ratio and mutual test.
+        matches: usize,
+        /// Needed.
+        needed: usize,
+    },
+    /// No possible transform has agreeing matches.
+    #[error("none of {matches} matches agree on a possible transform")]
+    NoAgreement {
+        /// Matches after ratio and mutual test.
+        matches: usize,
+    },
+    /// As many agreeing matches come up between unrelated images.
+    #[error(
+        "{inliers} agreeing places among {matches} matches could be chance (expected false alarms 10^{log10_nfa:.1})"
+    )]
+    ByChance {
+        /// Agreeing unique places.
+        inliers: usize,
+        /// Unique matches.
+        matches: usize,
+        /// log10 of the expected number of such agreements between unrelated images.
+        log10_nfa: f64,
+    },
+    /// The matches agree, but leave the transform open.
+    #[error("the agreeing matches leave a view corner uncertain by {corner_sigma_px:.1} target px")]
+    Uncertain {
+        /// Largest predicted standard deviation of a view corner in target pixels.
+        corner_sigma_px: f64,
+    },
+}
+
+/// A transform with its uncertainty.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// Pixel of the target from pixel of the view; integer coordinates are pixel centres.
+    pub target_from_view: Affine2,
+    /// Covariance of the 2x3 matrix, row by row.
+    pub covariance: [[f64; 6]; 6],
+    /// Standard deviation per coordinate of where the view's centre lands, target px.
+    pub sigma_px: f64,
+    /// The same for the worst corner of the view.
+    pub corner_sigma_px: f64,
+}
+
+/// The answer of a registration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Registration {
+    /// The transform when found, or why not.
+    pub outcome: Result<Estimate, NotFound>,
+    /// Agreeing matches on unique places.
+    pub inliers: usize,
+    /// Matches after ratio and mutual test.
+    pub matches: usize,
+    /// log10 of the expected number of agreements as good between unrelated images; `None` when nothing agreed.
+    pub log10_nfa: Option<f64>,
+    /// Agreeing places for drawing: x, y in the view, x, y in the target.
+    pub pairs: Vec<[f32; 4]>,
+}
+
+impl Registration {
+    /// The transform, when found.
+    pub fn found(&self) -> Option<&Estimate> {
+        self.outcome.as_ref().ok()
+    }
+
+    fn not_found(reason: NotFound, matches: usize) -> Self {
+        Self {
+            outcome: Err(reason),
+            inliers: 0,
+            matches,
+            log10_nfa: None,
+            pairs: Vec::new(),
+        }
+    }
+}
+
+/// Fewer features or matches than this can never pass the significance test.
+const MIN_MATCHES: usize = 5;
+/// Places closer than this, in pixels of each image times its keypoints' finest scale, are one place.
+const PLACE_PX: f64 = 2.0;
+
+/// Registers a view to a target.
+///
+/// Cost: one gated brute-force match, then well under a millisecond per hundred matches.
+pub fn register(
+    view: &Features,
+    target: &Features,
+    prior: &Prior,
+    options: &Options,
+) -> Registration {
+    if view.len() < MIN_MATCHES || target.len() < MIN_MATCHES {
+        let reason = NotFound::TooFewFeatures {
+            view: view.len(),
+            target: target.len(),
+            needed: MIN_MATCHES,
+        };
+        return Registration::not_found(reason, 0);
+    }
+    let match_options = MatchOptions {
+        ratio: options.ratio,
+        mutual: true,
+    };
+    let (matches, pairs) = correspondences(view, target, prior, &match_options);
+    if matches.len() < MIN_MATCHES {
+        let reason = NotFound::TooFewMatches {
+            matches: matches.len(),
+            needed: MIN_MATCHES,
+        };
+        return Registration::not_found(reason, matches.len());
+    }
+
+    // One pixel of the coarser image, in target pixels: what localisation can hope for.
+    let typical_ratio = prior.scale.map_or_else(
+        || {
+            let mut ratios: Vec<f64> = matches
+                .iter()
+                .map(|m| {
+                    f64::from(target.keypoints[m.train].sigma)
+                        / f64::from(view.keypoints[m.query].sigma)
+                })
+                .collect();
+            ratios.sort_by(f64::total_cmp);
+            ratios[ratios.len() / 2]
+        },
+        |s| s.ratio,
+    );
+    let coarse_px = typical_ratio.max(1.0);
+    let threshold = options.threshold_px * coarse_px;
+
+    let Some(rough) = search(view, target, &matches, &pairs, prior, options, threshold) else {
+        return Registration::not_found(
+            NotFound::NoAgreement {
+                matches: matches.len(),
+            },
+            matches.len(),
+        );
+    };
+    let coherent_at = |transform: &Affine2, i: usize| {
+        let m = &matches[i];
+        coherent(
+            &view.keypoints[m.query],
+            &target.keypoints[m.train],
+            transform,
+        )
+    };
+    let agreeing = |transform: &Affine2, within: f64| -> Vec<usize> {
+        (0..pairs.len())
+            .filter(|&i| residual(transform, &pairs[i]) <= within && coherent_at(transform, i))
+            .collect()
+    };
+    let inliers = agreeing(&rough, threshold);
+    let chosen: Vec<Correspondence> = inliers.iter().map(|&i| pairs[i]).collect();
+    let fit = match polish(&chosen) {
+        Some(fit) if prior.allows(&fit.b_from_a) => fit,
+        _ => {
+            let reason = NotFound::NoAgreement {
+                matches: matches.len(),
+            };
+            return Registration::not_found(reason, matches.len());
+        }
+    };
+
+    // The verdict, on unique places. The narrowest of three radii that makes the agreement least probable is taken;
+    // having tried three costs a factor of three.
+    let places = |indices: &[usize]| {
+        let points: Vec<(Vec2, Vec2)> = indices
+            .iter()
+            .map(|&i| (pairs[i].p_in_a, pairs[i].p_in_b))
+            .collect();
+        let apart_view = PLACE_PX * (coarse_px / typical_ratio);
+        unique_places(&points, apart_view, PLACE_PX * coarse_px)
+            .into_iter()
+            .map(|k| indices[k])
+            .collect::<Vec<usize>>()
+    };
+    let all: Vec<usize> = (0..pairs.len()).collect();
+    let unique = places(&all).len();
+    let area = occupied_area(
+        target
+            .keypoints
+            .iter()
+            .map(|k| [f64::from(k.x), f64::from(k.y)]),
+        20.0,
+    );
+    let radii = [threshold, threshold / 2.0, threshold / 4.0];
+    let nfa = radii
+        .iter()
+        .map(|&r| {
+            let k = places(&agreeing(&fit.b_from_a, r)).len();
+            let chance = std::f64::consts::PI * r * r / area * prior.chance_of_coherence();
+            log10_nfa(unique, k, chance) + (radii.len() as f64).log10()
+        })
+        .fold(f64::INFINITY, f64::min);
+    let final_places = places(&agreeing(&fit.b_from_a, threshold));
+
+    let (w, h) = (view.width as f64 - 1.0, view.height as f64 - 1.0);
+    let corner_sigma_px = [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]]
+        .into_iter()
+        .map(|p| fit.sigma_at(p))
+        .fold(0.0, f64::max);
+    let outcome = if nfa >= options.false_alarms.log10() {
+        Err(NotFound::ByChance {
+            inliers: final_places.len(),
+            matches: unique,
+            log10_nfa: if nfa.is_finite() { nfa } else { 99.0 },
+        })
+    } else if corner_sigma_px.is_nan()
+        || corner_sigma_px > options.max_corner_sigma_px * coarse_px
+    {
+        Err(NotFound::Uncertain { corner_sigma_px })
+    } else {
+        Ok(Estimate {
+            target_from_view: fit.b_from_a,
+            covariance: fit.covariance,
+            sigma_px: fit.sigma_at([w / 2.0, h / 2.0]),
+            corner_sigma_px,
+        })
+    };
+    Registration {
+        outcome,
+        inliers: final_places.len(),
+        matches: matches.len(),
+        log10_nfa: nfa.is_finite().then_some(nfa),
+        pairs: final_places
+            .iter()
+            .map(|&i| {
+                let Correspondence { p_in_a, p_in_b, .. } = pairs[i];
+                [
+                    p_in_a[0] as f32,
+                    p_in_a[1] as f32,
+                    p_in_b[0] as f32,
+                    p_in_b[1] as f32,
+                ]
+            })
+            .collect(),
+    }
+}
+
+fn search(
+    view: &Features,
+    target: &Features,
+    matches: &[scopeservo_sift::Match],
+    pairs: &[Correspondence],
+    prior: &Prior,
+    options: &Options,
+    threshold: f64,
+) -> Option<Affine2> {
+    // In the search every match counts alike; the sigmas of the final fit would favour large keypoints.
+    let plain: Vec<Correspondence> = pairs
+        .iter()
+        .map(|c| Correspondence { sigma: 1.0, ..*c })
+        .collect();
+    let possible = |m: &Affine2| prior.allows(m);
+    let ransac = RansacOptions {
+        threshold,
+        seed: options.seed,
+        ..RansacOptions::default()
+    };
+    match options.method {
+        Method::ThreePoint => {
+            let problem = AffineProblem {
+                correspondences: &plain,
+                possible: &possible,
+            };
+            lo_ransac(&problem, &ransac).map(|fit| fit.model)
+        }
+        Method::Oriented => {
+            let oriented: Vec<[f64; 4]> = matches
+                .iter()
+                .map(|m| {
+                    let (v, t) = (&view.keypoints[m.query], &target.keypoints[m.train]);
+                    [v.sigma, t.sigma, v.angle, t.angle].map(f64::from)
+                })
+                .collect();
+            let problem = OrientedProblem {
+                correspondences: &plain,
+                oriented: &oriented,
+                possible: &possible,
+            };
+            lo_ransac(&problem, &ransac).map(|fit| fit.model)
+        }
+    }
+}
+
+fn residual(transform: &Affine2, c: &Correspondence) -> f64 {
+    let q = transform.apply(c.p_in_a);
+    f64::hypot(q[0] - c.p_in_b[0], q[1] - c.p_in_b[1])
+}
+
+/// Iteratively reweighted least squares with Cauchy weights; the scale is the median residual, taken anew each time.
+fn polish(chosen: &[Correspondence]) -> Option<AffineFit> {
+    let mut weights = vec![1.0; chosen.len()];
+    let mut fit = fit_affine(chosen, &weights)?;
+    for _ in 0..10 {
+        let normalised: Vec<f64> = chosen
+            .iter()
+            .map(|c| residual(&fit.b_from_a, c) / c.sigma)
+            .collect();
+        let mut sorted = normalised.clone();
+        sorted.sort_by(f64::total_cmp);
+        // The median of a Rayleigh distributed residual is 1.1774 times the sigma of one coordinate.
+        let scale = (sorted[sorted.len() / 2] / 1.1774).max(1e-9);
+        for (w, r) in weights.iter_mut().zip(&normalised) {
+            *w = 1.0 / (1.0 + (r / (2.4 * scale)).powi(2));
+        }
+        fit = fit_affine(chosen, &weights)?;
+    }
+    Some(fit)
+}
