@@ -96,10 +96,7 @@ pub(crate) fn describe(plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) ->
 /// Cells per side, with one around the grid for votes that fall half outside.
 const SIDE: usize = PLACES + 2;
 
-/// Directions per cell, with one more on each side, folded back at the end.
-const SLOTS: usize = DIRECTIONS + 2;
-
-/// Votes in cells of (row, column, slot), each axis with its margin, in a power of two.
+/// Votes by (row, column, direction), rounded up to a power of two.
 const VOTES: usize = 512;
 
 fn histogram(plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> [f32; 128] {
@@ -136,8 +133,8 @@ fn histogram(plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> [f32; 128
             let n = (end - start).min(RUN);
             gradients(plane, start, row, n, &mut magnitude, &mut direction);
             let columns = &columns[start - left..][..RUN];
-            let (mut cell, mut fu, mut fv, mut fd) =
-                ([0_i32; RUN], [0.0; RUN], [0.0; RUN], [0.0; RUN]);
+            let (mut cell, mut slot) = ([0_i32; RUN], [0_i32; RUN]);
+            let (mut fu, mut fv, mut fd) = ([0.0; RUN], [0.0; RUN], [0.0; RUN]);
             for i in 0..RUN {
                 let dx = (start + i) as f32 - x;
                 // Margins hold what lies outside; the bounds only keep rounding from leaving them.
@@ -148,28 +145,22 @@ fn histogram(plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> [f32; 128
                 };
                 let (u, ru) = split(place(c * dx + s * dy));
                 let (v, rv) = split(place(-s * dx + c * dy));
-                let turned = direction[i] - angle;
-                let turned = if turned < 0.0 {
-                    turned + 2.0 * PI
-                } else {
-                    turned
-                };
-                let turned = if turned >= 2.0 * PI {
-                    turned - 2.0 * PI
-                } else {
-                    turned
-                };
-                let (d, rd) = split(turned * (DIRECTIONS as f32 / (2.0 * PI)) + 1.0);
-                cell[i] = (v * SIDE as i32 + u) * SLOTS as i32 + d;
+                // Positive after two turns; the low three bits of the whole number are the direction.
+                let turned = (direction[i] - angle) * (DIRECTIONS as f32 / (2.0 * PI))
+                    + 2.0 * DIRECTIONS as f32;
+                let (d, rd) = split(turned);
+                cell[i] = (v * SIDE as i32 + u) * DIRECTIONS as i32;
+                slot[i] = d;
                 (fu[i], fv[i], fd[i]) = (ru, rv, rd);
                 magnitude[i] *= row_weight * columns[i];
             }
             for i in 0..n {
-                let at = cell[i] as usize;
+                let (at, d) = (cell[i] as usize, slot[i] as usize);
+                let (near, next) = (at + d % DIRECTIONS, at + (d + 1) % DIRECTIONS);
                 let mut vote = |place: usize, amount: f32| {
-                    let at = at + place * SLOTS;
-                    votes[at & (VOTES - 1)] += amount * (1.0 - fd[i]);
-                    votes[(at + 1) & (VOTES - 1)] += amount * fd[i];
+                    let second = amount * fd[i];
+                    votes[(near + place * DIRECTIONS) % VOTES] += amount - second;
+                    votes[(next + place * DIRECTIONS) % VOTES] += second;
                 };
                 let below = magnitude[i] * fv[i];
                 let above = magnitude[i] - below;
@@ -183,11 +174,8 @@ fn histogram(plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> [f32; 128
     }
     let mut out = [0.0; 128];
     for (i, out) in out.chunks_exact_mut(DIRECTIONS).enumerate() {
-        let at = ((i / PLACES + 1) * SIDE + i % PLACES + 1) * SLOTS;
-        // Slot d + 1 is direction d; slot 0 is direction 7 and slot 9 direction 0.
-        out.copy_from_slice(&votes[at + 1..][..DIRECTIONS]);
-        out[DIRECTIONS - 1] += votes[at];
-        out[0] += votes[at + DIRECTIONS + 1];
+        let at = ((i / PLACES + 1) * SIDE + i % PLACES + 1) * DIRECTIONS;
+        out.copy_from_slice(&votes[at..at + DIRECTIONS]);
     }
     out
 }

@@ -139,12 +139,23 @@ pub fn detect_and_describe(image: &GrayImage, options: &Options) -> Result<Featu
     found.sort_unstable_by(Extremum::rank);
     found.truncate(options.max_features);
 
-    let described: Vec<Vec<(Keypoint, Descriptor)>> = found
-        .par_iter()
+    // Neighbours in the image one after the other, which is kinder to the caches than order of strength.
+    let mut walk: Vec<usize> = (0..found.len()).collect();
+    walk.sort_unstable_by_key(|&i| {
+        (
+            found[i].octave,
+            found[i].layer,
+            found[i].y as u32 / 32,
+            found[i].x as u32,
+        )
+    });
+    let mut described: Vec<(usize, Vec<(Keypoint, Descriptor)>)> = walk
+        .into_par_iter()
         .with_min_len(8)
-        .map(|e| {
+        .map(|i| {
+            let e = &found[i];
             let plane = &layers[(e.octave - options.first_octave()) as usize][e.layer - 1];
-            orientations(plane, e.x, e.y, e.sigma)
+            let features = orientations(plane, e.x, e.y, e.sigma)
                 .into_iter()
                 .map(|angle| {
                     (
@@ -152,10 +163,12 @@ pub fn detect_and_describe(image: &GrayImage, options: &Options) -> Result<Featu
                         describe(plane, e.x, e.y, e.sigma, angle),
                     )
                 })
-                .collect()
+                .collect();
+            (i, features)
         })
         .collect();
-    (features.keypoints, features.descriptors) = described.into_iter().flatten().unzip();
+    described.sort_unstable_by_key(|(i, _)| *i);
+    (features.keypoints, features.descriptors) = described.into_iter().flat_map(|(_, f)| f).unzip();
     Ok(features)
 }
 

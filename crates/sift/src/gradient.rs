@@ -5,7 +5,7 @@ use std::f32::consts::{FRAC_PI_2, PI};
 use crate::scale_space::Plane;
 
 /// Pixels per run.
-pub(crate) const RUN: usize = 32;
+pub(crate) const RUN: usize = 16;
 
 /// Values of one run.
 pub(crate) type Run = [f32; RUN];

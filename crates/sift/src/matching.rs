@@ -80,13 +80,26 @@ impl Wide {
     }
 }
 
-/// At most 128 * 255^2, far inside the range.
+/// At most 128 * 255^2, far inside the range. Eight sums side by side become the multiply-add that processors have for 16-bit
+/// numbers: 24 ms for 2000 x 2000 against 55 ms for a plain `sum()`.
 #[inline(always)]
 fn dot(a: &[i16; 128], b: &[i16; 128]) -> i32 {
-    a.iter()
-        .zip(b)
-        .map(|(&a, &b)| i32::from(a) * i32::from(b))
-        .sum()
+    let mut sums = [0_i32; 8];
+    for (a, b) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
+        for k in 0..8 {
+            sums[k] += i32::from(a[k]) * i32::from(b[k]);
+        }
+    }
+    sums.iter().sum()
+}
+
+/// Products of one descriptor with some others. A function of its own: inlined into the search it is not vectorised, which takes
+/// ten times as long.
+#[inline(never)]
+fn dots(a: &[i16; 128], others: &[[i16; 128]], picks: &[usize], out: &mut [i32; BLOCK]) {
+    for (out, &j) in out.iter_mut().zip(picks) {
+        *out = dot(a, &others[j]);
+    }
 }
 
 /// Nearest and second nearest so far; index `usize::MAX` when none.
@@ -163,15 +176,24 @@ fn search<const GATED: bool>(
             let mut back = vec![Back::NONE; t.norms.len()];
             for block in (0..t.norms.len()).step_by(BLOCK) {
                 let trains = block..(block + BLOCK).min(t.norms.len());
+                let mut picks: [usize; BLOCK] = std::array::from_fn(|k| block + k);
+                let mut products = [0; BLOCK];
+                let mut count = trains.len();
                 for (i, nearest) in queries.clone().zip(&mut nearest) {
-                    for (j, back) in trains.clone().zip(&mut back[trains.clone()]) {
-                        if GATED && !admissible(&query.keypoints[i], &train.keypoints[j]) {
-                            continue;
+                    if GATED {
+                        count = 0;
+                        for j in trains.clone() {
+                            picks[count] = j;
+                            count +=
+                                usize::from(admissible(&query.keypoints[i], &train.keypoints[j]));
                         }
-                        let product = dot(&q.components[i], &t.components[j]);
+                    }
+                    let picks = &picks[..count];
+                    dots(&q.components[i], &t.components, picks, &mut products);
+                    for (&j, product) in picks.iter().zip(products) {
                         let distance_sq = (q.norms[i] + t.norms[j] - 2 * product) as u32;
                         nearest.see(j, distance_sq);
-                        back.see(i, distance_sq);
+                        back[j].see(i, distance_sq);
                     }
                 }
             }
