@@ -107,7 +107,7 @@ impl Features {
 
 /// Detects, orients and describes the features of `image`.
 ///
-/// The `options.max_features` strongest extrema are kept and then oriented, so that the result may hold about a fifth more. The
+/// The `options.max_features` strongest extrema are kept and then oriented, so that the result may hold about a third more. The
 /// result is the same on any number of threads. An image without structure, or too small for the first octave (fewer than 12
 /// pixels on a side after doubling), gives no features.
 ///

@@ -9,7 +9,7 @@ use crate::SiftError;
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
     /// The N strongest extrema by response are kept, chosen before orientations are assigned; at least 1. An extremum with
-    /// several dominant orientations gives several features, so their number may exceed this by about a fifth.
+    /// several dominant orientations gives several features, so their number may exceed this by about a third.
     pub max_features: usize,
     /// Least |DoG| of an extremum times `intervals`, on an image with range 0..=1 (Lowe, IJCV 2004, section 4, has 0.03 times 3
     /// intervals, most later code 0.04). With `adapt_contrast` it is relative to the spread of the image.
