@@ -1,1 +1,3 @@
 //! A simulated microscope. Shares no code with what it tests.
+
+pub mod specimen;

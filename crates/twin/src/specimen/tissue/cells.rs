@@ -1,0 +1,293 @@
+//! Cells: where they are and what each looks like. No two are alike.
+//!
+//! Places are a hard-core thinning of random candidates (Matern 1960, type II, run twice to fill the gaps): a candidate
+//! stays if none of higher rank is nearer than their mean radius. The rule is local, so any window finds the same cells.
+
+use super::noise::{Dice, hash, smoothstep};
+use super::plan::{PlanGrid, SAMPLE_UM};
+
+/// Side of a bin of candidates, micrometres.
+const BIN_UM: f64 = 8.0;
+/// Candidates per bin.
+const PER_BIN: i64 = 4;
+/// Largest exclusion radius, micrometres.
+const MAX_RADIUS_UM: f64 = 9.0;
+/// How far a cell paints, micrometres.
+pub(super) const REACH_UM: f64 = 15.0;
+/// How far the plan must be known around a window: a cell's reach and three steps of the thinning.
+pub(super) const MARGIN_UM: f64 = REACH_UM + 3.0 * MAX_RADIUS_UM + BIN_UM + 4.0;
+
+/// What a cell is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Epithelial,
+    Fibroblast,
+    Lymphocyte,
+    RedCell,
+}
+
+/// One cell, ready to paint. Lengths in micrometres; `u`, `v` are multiples of 1/256 so that distances are exact.
+#[derive(Clone, Debug)]
+pub(super) struct Cell {
+    pub(super) kind: Kind,
+    pub(super) u: f64,
+    pub(super) v: f64,
+    /// Direction of the long axes of nucleus and body (cos, sin).
+    pub(super) axis: [f32; 2],
+    /// How much longer than wide the body is.
+    pub(super) stretch: f32,
+    /// Staining of the body.
+    pub(super) eosin: f32,
+    pub(super) basophil: f32,
+    /// Half axes of the nucleus; zero for none.
+    pub(super) nucleus: [f32; 2],
+    /// Offset of the nucleus from the cell's place.
+    pub(super) offset: [f32; 2],
+    pub(super) hematoxylin: f32,
+    /// Contrast of chromatin, and darkness of the nuclear rim.
+    pub(super) chromatin: f32,
+    pub(super) rim: f32,
+    /// Nucleolus: offset within the nucleus and radius; radius zero for none.
+    pub(super) nucleolus: [f32; 3],
+    /// Radius of a pale halo or vacuole; zero for none.
+    pub(super) hole: f32,
+}
+
+struct Candidate {
+    u: f64,
+    v: f64,
+    rank: u32,
+    kind: Kind,
+    radius: f32,
+    state: State,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum State {
+    Waiting,
+    Kept,
+    Dropped,
+}
+
+/// Every cell that paints into the window of samples `i0..i0 + w`, `j0..j0 + h`, in an order of its own.
+pub(super) fn cells_near(
+    seed: u64,
+    plan: &PlanGrid,
+    [i0, j0]: [i64; 2],
+    [w, h]: [usize; 2],
+) -> Vec<Cell> {
+    let (u0, v0) = (i0 as f64 * SAMPLE_UM, j0 as f64 * SAMPLE_UM);
+    let (u1, v1) = (u0 + w as f64 * SAMPLE_UM, v0 + h as f64 * SAMPLE_UM);
+    let m = REACH_UM + 3.0 * MAX_RADIUS_UM;
+    let bin = |x: f64| (x / BIN_UM).floor() as i64;
+    let (a0, a1, b0, b1) = (bin(u0 - m), bin(u1 + m), bin(v0 - m), bin(v1 + m));
+    let across = (a1 - a0 + 1) as usize;
+    let mut bins: Vec<Vec<Candidate>> = (b0..=b1)
+        .flat_map(|b| (a0..=a1).map(move |a| (a, b)))
+        .map(|(a, b)| {
+            (0..PER_BIN)
+                .filter_map(|k| candidate(seed, plan, a, b, k))
+                .collect()
+        })
+        .collect();
+    for _ in 0..2 {
+        thin(&mut bins, across);
+    }
+    let near = |c: &&Candidate| {
+        c.state == State::Kept
+            && c.u > u0 - REACH_UM
+            && c.u < u1 + REACH_UM
+            && c.v > v0 - REACH_UM
+            && c.v < v1 + REACH_UM
+    };
+    bins.iter()
+        .flatten()
+        .filter(near)
+        .map(|c| dress(seed, plan, c))
+        .collect()
+}
+
+fn candidate(seed: u64, plan: &PlanGrid, a: i64, b: i64, k: i64) -> Option<Candidate> {
+    let mut dice = Dice::new(seed ^ 0xCE11, a, PER_BIN * b + k);
+    let snap = |x: f64| (x * 256.0).round() / 256.0;
+    let u = snap((a as f64 + f64::from(dice.next())) * BIN_UM);
+    let v = snap((b as f64 + f64::from(dice.next())) * BIN_UM);
+    let p = plan.at(u, v);
+    if p.cleft > -2.0 || p.fat > -0.5 {
+        return None;
+    }
+    let (kind, radius) = if p.vessel > 2.0 {
+        // Some vessels are full of blood, some empty: the plan's tone at the place decides softly.
+        let full = smoothstep(-0.3, 0.3, p.tone + 0.3);
+        dice.chance(0.25 + 0.75 * full)
+            .then_some((Kind::RedCell, 4.3))?
+    } else if p.vessel > -1.0 {
+        return None;
+    } else if p.lumen > 1.0 {
+        dice.chance(0.015).then_some((Kind::Lymphocyte, 6.0))?
+    } else if p.depth > 1.5 {
+        let mature = smoothstep(30.0, 95.0, p.depth);
+        if p.gland > 0.5 {
+            // Tall cells stand on the base with their nuclei in one or two rows.
+            let basal = smoothstep(15.0, 8.0, p.depth);
+            dice.chance(0.12 + 0.88 * basal)
+                .then_some((Kind::Epithelial, 5.1))?
+        } else {
+            (Kind::Epithelial, 5.3 + 3.4 * mature + 0.9 * dice.next())
+        }
+    } else if p.depth < -1.0 {
+        let lymph = p.inflamed * smoothstep(-2.0, -7.0, p.depth);
+        if dice.chance(0.04 + 0.9 * lymph) {
+            (Kind::Lymphocyte, 4.4 + 1.6 * dice.next())
+        } else {
+            dice.chance(0.35)
+                .then_some((Kind::Fibroblast, 8.0 + dice.next()))?
+        }
+    } else {
+        return None;
+    };
+    Some(Candidate {
+        u,
+        v,
+        rank: hash(seed ^ 0x4A4B, a, PER_BIN * b + k),
+        kind,
+        radius,
+        state: State::Waiting,
+    })
+}
+
+/// One round: a waiting candidate near a kept one is dropped; one that outranks all waiting ones around it is kept.
+fn thin(bins: &mut [Vec<Candidate>], across: usize) {
+    let down = bins.len() / across;
+    let around = |bin: usize| {
+        // Mean radii reach at most 9 um: two bins.
+        let (x, y) = (bin % across, bin / across);
+        let columns = x.saturating_sub(2)..(x + 3).min(across);
+        (y.saturating_sub(2)..(y + 3).min(down))
+            .flat_map(move |r| columns.clone().map(move |c| r * across + c))
+    };
+    let close = |a: &Candidate, b: &Candidate| {
+        let (dx, dy, r) = (a.u - b.u, a.v - b.v, f64::from(0.5 * (a.radius + b.radius)));
+        dx * dx + dy * dy < r * r
+    };
+    let mut kept = Vec::new();
+    for bin in 0..bins.len() {
+        for (k, c) in bins[bin].iter().enumerate() {
+            if c.state != State::Waiting {
+                continue;
+            }
+            let beaten = around(bin)
+                .flat_map(|n| &bins[n])
+                .any(|o| o.state == State::Waiting && o.rank > c.rank && close(c, o));
+            if !beaten {
+                kept.push((bin, k));
+            }
+        }
+    }
+    for &(bin, k) in &kept {
+        bins[bin][k].state = State::Kept;
+    }
+    let mut dropped = Vec::new();
+    for &(bin, k) in &kept {
+        let c = &bins[bin][k];
+        for n in around(bin) {
+            for (l, o) in bins[n].iter().enumerate() {
+                if o.state == State::Waiting && close(c, o) {
+                    dropped.push((n, l));
+                }
+            }
+        }
+    }
+    for (bin, k) in dropped {
+        bins[bin][k].state = State::Dropped;
+    }
+}
+
+fn dress(seed: u64, plan: &PlanGrid, c: &Candidate) -> Cell {
+    let p = plan.at(c.u, c.v);
+    let key = |x: f64| (x * 256.0) as i64;
+    let mut d = Dice::new(seed ^ 0xD4E55, key(c.u), key(c.v));
+    let mut spin = |axis: [f32; 2], spread: f32| {
+        let (sin, cos) = (spread * (d.next() + d.next() - 1.0)).sin_cos();
+        [axis[0] * cos - axis[1] * sin, axis[0] * sin + axis[1] * cos]
+    };
+    let across = |[x, y]: [f32; 2]| [-y, x];
+    let any = std::f32::consts::PI;
+    let mut cell = Cell {
+        kind: c.kind,
+        u: c.u,
+        v: c.v,
+        axis: [1.0, 0.0],
+        stretch: 1.0,
+        eosin: 1.0,
+        basophil: 0.0,
+        nucleus: [0.0; 2],
+        offset: [0.0; 2],
+        hematoxylin: 0.0,
+        chromatin: 0.3,
+        rim: 0.3,
+        nucleolus: [0.0; 3],
+        hole: 0.0,
+    };
+    match c.kind {
+        Kind::Epithelial if p.gland > 0.5 => {
+            cell.axis = spin(plan.rise(c.u, c.v, |p| p.depth), 0.35);
+            cell.stretch = d.range(1.5, 2.3);
+            let b = d.range(2.2, 3.1);
+            cell.nucleus = [b * d.range(1.25, 1.9), b];
+            cell.hematoxylin = d.range(0.85, 1.5);
+            cell.eosin = d.range(0.75, 1.15);
+            cell.basophil = d.range(0.05, 0.22);
+        }
+        Kind::Epithelial => {
+            let mature = smoothstep(22.0, 85.0, p.depth);
+            let flat = plan.rise(c.u, c.v, |p| p.depth);
+            cell.axis = spin(across(flat), any * (1.0 - 0.75 * mature));
+            cell.stretch = 1.0 + d.range(0.1, 0.45) + 0.5 * mature * d.next();
+            let b = d.range(2.3, 3.6) * (1.0 - 0.25 * mature);
+            cell.nucleus = [b * d.range(1.1, 1.7), b];
+            cell.hematoxylin = d.range(0.6, 1.35) * (1.0 - 0.2 * mature);
+            cell.eosin = d.range(0.72, 1.18) * (1.0 + 0.1 * mature);
+            cell.basophil = d.range(0.06, 0.26) * (1.0 - 0.8 * mature);
+            if d.chance(0.03 + 0.22 * mature) {
+                cell.hole = d.range(2.4, 5.2);
+                cell.nucleus = cell.nucleus.map(|r| 0.75 * r);
+                cell.offset = [d.range(-1.6, 1.6), d.range(-1.6, 1.6)];
+                if d.chance(0.45) {
+                    cell.nucleus = [0.0; 2];
+                }
+            }
+        }
+        Kind::Fibroblast => {
+            cell.axis = spin(across(plan.rise(c.u, c.v, |p| p.flow)), 0.5);
+            let b = d.range(0.9, 1.8);
+            cell.nucleus = [b * d.range(2.6, 5.5), b];
+            cell.hematoxylin = d.range(0.7, 1.4);
+        }
+        Kind::Lymphocyte => {
+            cell.axis = spin([1.0, 0.0], any);
+            let b = d.range(2.3, 3.2);
+            cell.nucleus = [b * d.range(1.0, 1.3), b];
+            cell.hematoxylin = d.range(1.05, 1.75);
+            cell.eosin = d.range(0.2, 0.5);
+            cell.basophil = d.range(0.1, 0.3);
+        }
+        Kind::RedCell => {
+            cell.axis = spin([1.0, 0.0], any);
+            cell.stretch = d.range(1.0, 1.25);
+            cell.eosin = d.range(0.7, 1.15);
+            cell.hole = d.range(2.6, 3.3);
+        }
+    }
+    cell.chromatin = d.range(0.2, 0.75);
+    cell.rim = d.range(0.05, 0.6);
+    if matches!(cell.kind, Kind::Epithelial) && d.chance(0.55) {
+        let (x, y) = (d.range(-0.45, 0.45), d.range(-0.45, 0.45));
+        cell.nucleolus = [
+            x * cell.nucleus[0],
+            y * cell.nucleus[1],
+            d.range(0.45, 0.95),
+        ];
+    }
+    cell
+}
