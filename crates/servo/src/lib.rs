@@ -1,1 +1,33 @@
-//! Focus, calibrate, control, reposition: Algorithm 1 as a page to read first.
+//! Focus, calibrate, control, reposition: Algorithm 1 of the paper on any instrument.
+//!
+//! Read [`mod@servo`] first: the loop is one screen. Every procedure is a step machine: its state is a value that can
+//! be stored and continued, one [`Procedure::step`] is at most a few moves and frames, and all that happens is told to a
+//! [`Sink`] as [`Event`]s. Nothing here prints, reads the wall clock or keeps global state.
+//!
+//! Data flow one way: camera -> features -> match and fit -> homography -> pose error -> control -> stage.
+
+mod calibrate;
+mod calibration;
+mod control;
+mod error;
+mod event;
+mod focus;
+mod kinematics;
+mod procedure;
+mod reposition;
+pub mod servo;
+mod vision;
+
+pub use calibrate::{Calibrate, CalibrateOptions, Observation, solve_hand_eye};
+pub use calibration::{CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
+pub use control::{PoseError, control_law, motion_of, pose_error};
+pub use error::ServoError;
+pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};
+pub use focus::{Focus, FocusOptions, FocusResult, sharpness};
+pub use kinematics::{Motion2, PlanarPose, motion_between, pose_after};
+pub use procedure::{Procedure, Progress, run};
+pub use reposition::{
+    MagnificationResult, Outcome, Reason, Reposition, RepositionOptions, Verdict,
+};
+pub use servo::{Servo, ServoEnd, ServoOptions, ServoResult, ServoTask};
+pub use vision::{Engine, Target, VisionOptions};

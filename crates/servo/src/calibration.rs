@@ -1,0 +1,172 @@
+//! A calibration as a value: how pixels of one objective relate to the stage.
+
+use scopeservo_geometry::{Mat2, Vec2};
+use scopeservo_scope::ObjectiveId;
+use serde::{Deserialize, Serialize};
+
+/// Version of the serialised form.
+pub const CALIBRATION_SCHEMA: u32 = 1;
+
+/// The map between pixels and stage of one objective, and where the stage turns.
+///
+/// A pixel p is fixed to the optics at the stage coordinate `c = stage_from_pixel (p - p0) + rotation_centre_m`, with p0 the
+/// image's centre ((w-1)/2, (h-1)/2). The general 2x2 map covers mirrored cameras and stages of either handedness.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Calibration {
+    /// [`CALIBRATION_SCHEMA`] of the program that wrote it.
+    pub schema: u32,
+    /// The objective it belongs to.
+    pub objective: ObjectiveId,
+    /// Columns and rows of the images it was made from.
+    pub image_size_px: [usize; 2],
+    /// Metres in stage axes per pixel.
+    pub stage_from_pixel: Mat2,
+    /// Where the image's centre lies from the axis of rotation, in stage axes, metres (the paper's eta). `None` for a
+    /// stage that cannot turn.
+    pub rotation_centre_m: Option<Vec2>,
+    /// Covariance of (stage_from_pixel row-major in m/px, rotation_centre_m in m), when it is known. Without a rotation
+    /// centre its rows and columns are zero.
+    pub covariance: Option<[[f64; 6]; 6]>,
+    /// Play of x and y on reversal, metres, when measured.
+    pub backlash_m: Option<Vec2>,
+    /// Where this objective's optical axis lies from the reference objective's, stage axes, metres, when measured.
+    pub parcentric_offset_m: Option<Vec2>,
+    /// Height of this objective's focus above the reference objective's, metres, when measured.
+    pub parfocal_offset_m: Option<f64>,
+}
+
+/// The paper's reading of the 2x2 map: `c = R_ec(phi) diag(kx, ky)^-1 (p - p0)`, Eqs. (1) and (3).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct IntrinsicReading {
+    /// Pixels per metre along image x.
+    pub kx_px_per_m: f64,
+    /// Pixels per metre along image y.
+    pub ky_px_per_m: f64,
+    /// Angle between camera and stage, radians.
+    pub phi_rad: f64,
+    /// What of the map the three numbers do not explain, relative to the whole.
+    pub misfit: f64,
+}
+
+/// `R_ec` of Eq. (3), upper left: its own inverse, determinant -1.
+fn r_ec(phi_rad: f64) -> Mat2 {
+    let (s, c) = phi_rad.sin_cos();
+    Mat2([[-s, -c], [-c, s]])
+}
+
+impl Calibration {
+    /// Pixels per metre in stage axes; the inverse of [`Calibration::stage_from_pixel`].
+    pub fn pixel_from_stage(&self) -> Mat2 {
+        self.stage_from_pixel
+            .inverse()
+            .expect("a calibration is made only from a regular map")
+    }
+
+    /// Size of a pixel on the specimen, um: geometric mean of both directions.
+    pub fn um_per_px(&self) -> f64 {
+        self.stage_from_pixel.det().abs().sqrt() * 1e6
+    }
+
+    /// kx, ky and phi when the map has the handedness of Eq. (3); `None` for a mirrored camera or an opposite stage,
+    /// which no values of these three describe.
+    ///
+    /// Solves (16) in closed form. V of (13) is the transpose of [`Calibration::pixel_from_stage`].
+    pub fn reading(&self) -> Option<IntrinsicReading> {
+        let v = self.pixel_from_stage().transpose();
+        if v.det() >= 0.0 {
+            return None;
+        }
+        let [[v11, v12], [v21, v22]] = v.0;
+        let phi_rad = 0.5
+            * f64::atan2(
+                2.0 * (v11 * v21 - v12 * v22),
+                v21 * v21 + v12 * v12 - v11 * v11 - v22 * v22,
+            );
+        let (s, c) = phi_rad.sin_cos();
+        let (kx, ky) = (-(v11 * s + v21 * c), -(v12 * c - v22 * s));
+        let model = Mat2([[-kx * s, -ky * c], [-kx * c, ky * s]]);
+        Some(IntrinsicReading {
+            kx_px_per_m: kx,
+            ky_px_per_m: ky,
+            phi_rad,
+            misfit: (v - model).frobenius() / v.frobenius(),
+        })
+    }
+
+    /// The orthogonal matrix that turns camera axes {C} into stage axes {E}: the paper's `R_ec` where the reading
+    /// allows it, else the orthogonal matrix nearest to the map.
+    pub fn stage_from_camera(&self) -> Mat2 {
+        match self.reading() {
+            Some(reading) => r_ec(reading.phi_rad),
+            None => self.stage_from_pixel.nearest_orthogonal(),
+        }
+    }
+
+    /// K of Eq. (1) as a general 2x2 matrix about the principal point: pixels per metre in camera axes.
+    pub fn intrinsic(&self) -> Mat2 {
+        self.pixel_from_stage() * self.stage_from_camera()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn calibration(stage_from_pixel: Mat2) -> Calibration {
+        Calibration {
+            schema: CALIBRATION_SCHEMA,
+            objective: ObjectiveId("40x".into()),
+            image_size_px: [640, 480],
+            stage_from_pixel,
+            rotation_centre_m: Some([0.125, 0.0]),
+            covariance: None,
+            backlash_m: None,
+            parcentric_offset_m: None,
+            parfocal_offset_m: None,
+        }
+    }
+
+    #[test]
+    fn the_papers_values_are_read_back() {
+        for (kx, ky, phi_deg) in [
+            (-448_672.0, -451_767.0, 0.4665f64),
+            (-1_953_155.0, -1_981_235.0, 0.5722),
+            (-938_325.0, -942_616.0, -67.0),
+        ] {
+            let map = r_ec(phi_deg.to_radians()) * Mat2::diagonal(1.0 / kx, 1.0 / ky);
+            let c = calibration(map);
+            let r = c.reading().unwrap();
+            assert!((r.kx_px_per_m / kx - 1.0).abs() < 1e-12);
+            assert!((r.ky_px_per_m / ky - 1.0).abs() < 1e-12);
+            assert!((r.phi_rad.to_degrees() - phi_deg).abs() < 1e-10);
+            assert!(r.misfit < 1e-12);
+            let k = c.intrinsic();
+            assert!((k - Mat2::diagonal(kx, ky)).frobenius() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn r_ec_is_its_own_inverse_and_mirrors() {
+        let r = r_ec(0.3);
+        assert!((r * r - Mat2::IDENTITY).frobenius() < 1e-15);
+        assert!((r.det() + 1.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn a_mirrored_camera_has_no_reading_but_a_sound_intrinsic() {
+        let map = Mat2::rotation(0.2) * Mat2::diagonal(5e-7, 5.1e-7);
+        let c = calibration(map);
+        assert_eq!(c.reading(), None);
+        assert!(
+            (c.stage_from_camera() * c.intrinsic().inverse().unwrap() - map).frobenius() < 1e-18
+        );
+        assert!((c.um_per_px() - 0.505).abs() < 1e-3);
+    }
+
+    #[test]
+    fn json_round_trip() {
+        let c = calibration(Mat2([[1e-7, 2e-7], [3e-7, -4.123456789e-7]]));
+        let json = serde_json::to_string(&c).unwrap();
+        assert_eq!(serde_json::from_str::<Calibration>(&json).unwrap(), c);
+    }
+}

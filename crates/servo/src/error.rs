@@ -1,0 +1,64 @@
+//! What can stop a procedure.
+
+use scopeservo_registration::NotFound;
+use scopeservo_scope::{ObjectiveId, ScopeError};
+use scopeservo_sift::SiftError;
+use thiserror::Error;
+
+/// The error of every procedure.
+#[derive(Debug, Clone, Error)]
+#[non_exhaustive]
+pub enum ServoError {
+    /// The instrument refused, failed or was stopped.
+    #[error(transparent)]
+    Scope(#[from] ScopeError),
+    /// A frame could not be turned into features.
+    #[error("the frame could not be used: {0}")]
+    Features(#[from] SiftError),
+    /// The sharpness has no peak within the sweep.
+    #[error(
+        "no focus found with {objective}: sharpness varies by a factor of {contrast:.2} over {from_um:.0} to {to_um:.0} um, \
+         as over blank glass. Move to a place with tissue, or nearer to focus, and try again"
+    )]
+    NoFocus {
+        /// The objective in the beam.
+        objective: ObjectiveId,
+        /// Largest over smallest sharpness of the sweep.
+        contrast: f64,
+        /// Lower end of the sweep.
+        from_um: f64,
+        /// Upper end of the sweep.
+        to_um: f64,
+    },
+    /// Too few of the calibration views could be registered.
+    #[error(
+        "calibration of {objective} failed: {measured} of {needed} moves could be measured; the last view was not found \
+         because of {last}. Calibrate over a place with more tissue"
+    )]
+    CalibrationViews {
+        /// The objective in the beam.
+        objective: ObjectiveId,
+        /// Moves measured.
+        measured: usize,
+        /// Moves needed.
+        needed: usize,
+        /// Why the last view was not found.
+        last: NotFound,
+    },
+    /// The calibration contradicts the data sheet or the camera.
+    #[error(
+        "calibration of {objective} was refused: it gives {measured_um_per_px:.3} um per pixel where {nominal_um_per_px:.3} \
+         is engraved. Check which objective is in the beam and the units of the stage"
+    )]
+    CalibrationImplausible {
+        /// The objective in the beam.
+        objective: ObjectiveId,
+        /// What was measured.
+        measured_um_per_px: f64,
+        /// What the instrument states.
+        nominal_um_per_px: f64,
+    },
+    /// A setting that makes no sense.
+    #[error("{0}")]
+    BadOption(String),
+}

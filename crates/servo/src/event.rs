@@ -1,0 +1,180 @@
+//! What procedures tell: progress bar, report, replay and resume all read the same events.
+
+use crate::{Calibration, FocusResult, Outcome, PoseError};
+use scopeservo_geometry::Affine2;
+use scopeservo_registration::NotFound;
+use scopeservo_scope::{Frame, Instrument, ObjectiveId, StagePose};
+use serde::{Deserialize, Serialize};
+
+/// The parts of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// Changing the objective.
+    Switch,
+    /// Autofocus.
+    Focus,
+    /// Calibration.
+    Calibrate,
+    /// Visual servoing.
+    Servo,
+}
+
+/// What a frame was grabbed for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FrameRole {
+    /// The target, when it was saved.
+    Target,
+    /// A focus sweep.
+    Focus,
+    /// A calibration view.
+    Calibration,
+    /// An iteration of the servo.
+    Servo,
+}
+
+/// One thing that happened.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Event {
+    /// A run began.
+    Started {
+        /// Objectives in the order in which they will be servoed.
+        objectives: Vec<ObjectiveId>,
+        /// Objective of the target.
+        target_objective: ObjectiveId,
+        /// The feature engine.
+        engine: String,
+        /// The CPU level that the engine uses.
+        cpu_level: String,
+    },
+    /// A part of the run began.
+    PhaseStarted {
+        /// Which part.
+        phase: Phase,
+        /// The objective it is for.
+        objective: ObjectiveId,
+    },
+    /// A frame was grabbed. The frame itself went to [`Sink::frame`].
+    FrameGrabbed {
+        /// Its sequence number.
+        sequence: u64,
+        /// What for.
+        role: FrameRole,
+        /// The objective in the beam.
+        objective: ObjectiveId,
+    },
+    /// The sharpness at one height.
+    FocusSample {
+        /// Stage height, um.
+        z_um: f64,
+        /// Mean |Laplacian| of the luminance.
+        sharpness: f64,
+    },
+    /// A focus was found.
+    Focused {
+        /// The objective in the beam.
+        objective: ObjectiveId,
+        /// The result.
+        result: FocusResult,
+    },
+    /// One calibration view was registered to the reference view, or not.
+    CalibrationView {
+        /// How many views before it.
+        index: usize,
+        /// Where the stage says it was.
+        stage: StagePose,
+        /// Displacement of the picture's centre in pixels, when found.
+        shift_px: Option<[f64; 2]>,
+        /// Agreeing places.
+        inliers: usize,
+    },
+    /// A calibration was made.
+    Calibrated {
+        /// The calibration.
+        calibration: Calibration,
+        /// Root mean square residual of its views, pixels.
+        residual_px: f64,
+        /// Views used.
+        views: usize,
+    },
+    /// One iteration of the servo.
+    Iteration {
+        /// The objective in the beam.
+        objective: ObjectiveId,
+        /// Counts from 0 in each magnification.
+        iteration: usize,
+        /// The frame.
+        sequence: u64,
+        /// Where the stage says it was.
+        stage: StagePose,
+        /// The error e before the move.
+        error: PoseError,
+        /// The velocity v_c, per iteration.
+        velocity: PoseError,
+        /// Target pixel from view pixel.
+        target_from_view: Affine2,
+        /// Agreeing places.
+        inliers: usize,
+        /// Matches.
+        matches: usize,
+        /// Standard deviation of where the view's centre lands, target pixels.
+        sigma_px: f64,
+        /// Agreeing places: x, y in the view, x, y in the target.
+        pairs: Vec<[f32; 4]>,
+        /// Whether this error passes the convergence test.
+        converged: bool,
+    },
+    /// A view was not found in the target.
+    Lost {
+        /// The objective in the beam.
+        objective: ObjectiveId,
+        /// The iteration.
+        iteration: usize,
+        /// The frame.
+        sequence: u64,
+        /// Why.
+        reason: NotFound,
+    },
+    /// The run ended.
+    Finished {
+        /// How.
+        outcome: Outcome,
+    },
+}
+
+/// An event and the moment on the instrument's clock.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Stamped {
+    /// Seconds on the instrument's clock.
+    pub time_s: f64,
+    /// What happened.
+    #[serde(flatten)]
+    pub event: Event,
+}
+
+/// Where events and frames go.
+pub trait Sink {
+    /// Something happened.
+    fn event(&mut self, event: Stamped);
+    /// A frame was grabbed; called before its [`Event::FrameGrabbed`].
+    fn frame(&mut self, frame: &Frame, role: FrameRole);
+}
+
+/// A sink that keeps nothing.
+#[derive(Debug, Default)]
+pub struct NoSink;
+
+impl Sink for NoSink {
+    fn event(&mut self, _: Stamped) {}
+    fn frame(&mut self, _: &Frame, _: FrameRole) {}
+}
+
+/// Tells `event` with the present moment.
+pub(crate) fn tell(scope: &Instrument, sink: &mut dyn Sink, event: Event) {
+    sink.event(Stamped {
+        time_s: scope.clock().now().seconds(),
+        event,
+    });
+}

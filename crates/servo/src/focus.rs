@@ -1,0 +1,303 @@
+//! Autofocus, the paper's section IV-B.1: sweep a range of heights, take the one with the largest mean |Laplacian|.
+//!
+//! The sweep is done twice, coarse over the candidate range and fine around its best, and the peak is a parabola through
+//! the best samples. A sweep without a peak is an answer of its own: the stage goes back to where it started.
+
+use crate::event::tell;
+use crate::procedure::{Procedure, Progress};
+use crate::vision::grab;
+use crate::{Event, FrameRole, ServoError, Sink};
+use scopeservo_scope::{Axis, Frame, Instrument, Length, Objective, ScopeError, StagePose};
+use serde::{Deserialize, Serialize};
+
+/// Settings of the sweep.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FocusOptions {
+    /// Half-width of the candidate range around the present height, um.
+    pub half_range_um: f64,
+    /// Coarse step in depths of field (`wavelength / NA^2`), at most a tenth of the range.
+    pub coarse_depths: f64,
+    /// Wavelength for the depth of field, um.
+    pub wavelength_um: f64,
+    /// A sweep whose largest sharpness is less than this times its smallest shows no focus.
+    pub min_contrast: f64,
+}
+
+impl Default for FocusOptions {
+    fn default() -> Self {
+        Self {
+            half_range_um: 40.0,
+            coarse_depths: 2.0,
+            wavelength_um: 0.55,
+            min_contrast: 1.04,
+        }
+    }
+}
+
+/// Where the focus is.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct FocusResult {
+    /// Height of the stage, um. `None` when the stage has no z and nothing was done.
+    pub z_um: Option<f64>,
+    /// Sharpness there: the largest sampled.
+    pub sharpness: f64,
+    /// Largest over smallest sharpness of the coarse sweep.
+    pub contrast: f64,
+    /// Frames used.
+    pub samples: usize,
+}
+
+/// Mean |Laplacian| of the luminance (4-neighbour mask, inner pixels), in units of full scale.
+pub fn sharpness(frame: &Frame) -> f64 {
+    let (w, h) = (frame.width, frame.height);
+    if w < 3 || h < 3 {
+        return 0.0;
+    }
+    let l = frame.luminance();
+    let mut sum = 0.0f64;
+    for y in 1..h - 1 {
+        let (up, row, down) = (&l[(y - 1) * w..], &l[y * w..], &l[(y + 1) * w..]);
+        let line: f32 = (1..w - 1)
+            .map(|x| (up[x] + down[x] + row[x - 1] + row[x + 1] - 4.0 * row[x]).abs())
+            .sum();
+        sum += f64::from(line);
+    }
+    sum / ((w - 2) * (h - 2)) as f64
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+enum Pass {
+    Coarse,
+    Fine,
+    Approach,
+}
+
+/// The autofocus as a step machine: one sample per step.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Focus {
+    options: FocusOptions,
+    objective: Objective,
+    start_um: Option<f64>,
+    pass: Pass,
+    extended: u8,
+    /// Heights still to visit, ascending.
+    plan_um: Vec<f64>,
+    /// (height, sharpness), of the present pass.
+    samples: Vec<[f64; 2]>,
+    contrast: f64,
+    taken: usize,
+}
+
+impl Focus {
+    /// A sweep around the present height.
+    pub fn new(objective: Objective, options: FocusOptions) -> Self {
+        Self {
+            options,
+            objective,
+            start_um: None,
+            pass: Pass::Coarse,
+            extended: 0,
+            plan_um: Vec::new(),
+            samples: Vec::new(),
+            contrast: 1.0,
+            taken: 0,
+        }
+    }
+
+    fn coarse_step_um(&self) -> f64 {
+        let depth = self.options.wavelength_um / self.objective.numerical_aperture.powi(2);
+        (self.options.coarse_depths * depth).min(self.options.half_range_um / 5.0)
+    }
+
+    /// Heights from `from` to `to` that the stage can reach.
+    fn plan(scope: &Instrument, from: f64, to: f64, step: f64) -> Vec<f64> {
+        let count = ((to - from) / step).round().max(1.0) as usize;
+        (0..=count)
+            .map(|k| from + (to - from) * k as f64 / count as f64)
+            .filter(|&z| scope.stage().check(&height(z)).is_ok())
+            .collect()
+    }
+
+    fn best(&self) -> usize {
+        (0..self.samples.len())
+            .max_by(|&a, &b| self.samples[a][1].total_cmp(&self.samples[b][1]))
+            .unwrap_or(0)
+    }
+
+    fn no_focus(&self) -> ServoError {
+        ServoError::NoFocus {
+            objective: self.objective.id.clone(),
+            contrast: self.contrast,
+            from_um: self.samples.first().map_or(f64::NAN, |s| s[0]),
+            to_um: self.samples.last().map_or(f64::NAN, |s| s[0]),
+        }
+    }
+
+    fn coarse_done(&mut self, scope: &Instrument, start_um: f64) -> Result<(), ServoError> {
+        self.samples.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let best = self.best();
+        let least = self
+            .samples
+            .iter()
+            .map(|s| s[1])
+            .fold(f64::INFINITY, f64::min);
+        let Some(peak) = self.samples.get(best) else {
+            return Err(self.no_focus());
+        };
+        self.contrast = peak[1] / least.max(1e-12);
+        if self.contrast < self.options.min_contrast {
+            scope.move_to(&height(start_um))?;
+            return Err(self.no_focus());
+        }
+        let (z, step) = (peak[0], self.coarse_step_um());
+        let at_end = best == 0 || best + 1 == self.samples.len();
+        if at_end && self.extended < 2 {
+            // The peak may lie beyond: look half a range further on that side.
+            self.extended += 1;
+            let reach = self.options.half_range_um;
+            self.plan_um = if best == 0 {
+                Self::plan(scope, z - reach, z - step, step)
+            } else {
+                Self::plan(scope, z + step, z + reach, step)
+            };
+            if !self.plan_um.is_empty() {
+                return Ok(());
+            }
+        }
+        self.pass = Pass::Fine;
+        self.samples.clear();
+        self.plan_um = Self::plan(scope, z - 1.5 * step, z + 1.5 * step, step / 4.0);
+        Ok(())
+    }
+}
+
+fn height(z_um: f64) -> StagePose {
+    StagePose {
+        z: Some(Length::from_um(z_um)),
+        ..StagePose::default()
+    }
+}
+
+/// The top of the parabola through the samples around `best`, kept between its neighbours.
+fn peak_of(samples: &[[f64; 2]], best: usize) -> f64 {
+    let lo = best.saturating_sub(2);
+    let hi = (best + 2).min(samples.len() - 1);
+    let z0 = samples[best][0];
+    let equations: Vec<([f64; 3], f64)> = samples[lo..=hi]
+        .iter()
+        .map(|s| ([1.0, s[0] - z0, (s[0] - z0).powi(2)], s[1]))
+        .collect();
+    match scopeservo_geometry::least_squares(&equations) {
+        Some(([_, slope, bend], _)) if bend < 0.0 => {
+            let top = z0 - slope / (2.0 * bend);
+            top.clamp(samples[lo][0], samples[hi][0])
+        }
+        _ => z0,
+    }
+}
+
+impl Procedure for Focus {
+    type Output = FocusResult;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<FocusResult>, ServoError> {
+        if scope.stage().info().axis(Axis::Z).is_none() {
+            return Ok(Progress::Done(FocusResult {
+                z_um: None,
+                sharpness: 0.0,
+                contrast: 1.0,
+                samples: 0,
+            }));
+        }
+        let start_um = match self.start_um {
+            Some(z) => z,
+            None => {
+                let z = scope
+                    .stage()
+                    .position()?
+                    .z
+                    .ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
+                let (z, reach) = (z.um(), self.options.half_range_um);
+                self.start_um = Some(z);
+                self.plan_um = Self::plan(scope, z - reach, z + reach, self.coarse_step_um());
+                z
+            }
+        };
+        if self.pass == Pass::Approach {
+            // From below, like every sample, so that play in the focus drive does not matter.
+            let best = self.best();
+            let z = peak_of(&self.samples, best);
+            let below = height(z - 2.0 * self.coarse_step_um());
+            if scope.stage().check(&below).is_ok() {
+                scope.move_to(&below)?;
+            }
+            scope.move_to(&height(z))?;
+            return Ok(Progress::Done(FocusResult {
+                z_um: Some(z),
+                sharpness: self.samples[best][1],
+                contrast: self.contrast,
+                samples: self.taken,
+            }));
+        }
+        if !self.plan_um.is_empty() {
+            let z = self.plan_um.remove(0);
+            scope.move_to(&height(z))?;
+            let frame = grab(scope, sink, FrameRole::Focus, &self.objective.id)?;
+            let sharpness = sharpness(&frame);
+            tell(scope, sink, Event::FocusSample { z_um: z, sharpness });
+            self.samples.push([z, sharpness]);
+            self.taken += 1;
+        }
+        if self.plan_um.is_empty() {
+            match self.pass {
+                Pass::Coarse => self.coarse_done(scope, start_um)?,
+                _ if self.samples.is_empty() => return Err(self.no_focus()),
+                _ => self.pass = Pass::Approach,
+            }
+        }
+        Ok(Progress::Continue)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scopeservo_scope::{Channels, Samples, Timestamp};
+
+    fn frame(f: impl Fn(usize, usize) -> u8) -> Frame {
+        Frame {
+            width: 32,
+            height: 24,
+            channels: Channels::Gray,
+            bit_depth: 8,
+            samples: Samples::U8((0..32 * 24).map(|i| f(i % 32, i / 32)).collect()),
+            sequence: 0,
+            exposure_start: Timestamp::default(),
+            exposure: std::time::Duration::from_millis(10),
+        }
+    }
+
+    #[test]
+    fn a_slope_has_no_laplacian_and_an_edge_has() {
+        assert_eq!(sharpness(&frame(|_, _| 77)), 0.0);
+        assert!(sharpness(&frame(|x, y| (3 * x + 2 * y) as u8)) < 1e-6);
+        // One full-scale step between two columns: |L| = 1 on both sides of it, 2 of 30 inner columns.
+        let edge = sharpness(&frame(|x, _| if x < 16 { 0 } else { 255 }));
+        assert!((edge - 2.0 / 30.0).abs() < 1e-6, "{edge}");
+    }
+
+    #[test]
+    fn the_parabola_finds_its_top_between_samples() {
+        let samples: Vec<[f64; 2]> = (0..9)
+            .map(|k| {
+                let z = f64::from(k);
+                [z, 5.0 - (z - 4.3f64).powi(2)]
+            })
+            .collect();
+        assert!((peak_of(&samples, 4) - 4.3).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,45 @@
+//! Step machines: the common shape of everything that takes time.
+
+use crate::{ServoError, Sink};
+use scopeservo_scope::Instrument;
+
+/// What a step achieved.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Progress<T> {
+    /// There is more to do.
+    Continue,
+    /// Finished, with the result.
+    Done(T),
+}
+
+/// A procedure whose state is a plain value. Between two steps it can be serialised, stored, and continued by another
+/// process on the same instrument.
+pub trait Procedure {
+    /// What it ends with.
+    type Output;
+    /// Does the next small piece of work: at most a few moves and frames.
+    ///
+    /// # Errors
+    /// Instrument faults and interruptions. What the method itself can answer ("not found") is an output, not an error.
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Self::Output>, ServoError>;
+}
+
+/// Steps until done.
+///
+/// # Errors
+/// Those of the steps.
+pub fn run<P: Procedure>(
+    procedure: &mut P,
+    scope: &Instrument,
+    sink: &mut dyn Sink,
+) -> Result<P::Output, ServoError> {
+    loop {
+        if let Progress::Done(output) = procedure.step(scope, sink)? {
+            return Ok(output);
+        }
+    }
+}

@@ -1,0 +1,381 @@
+//! Algorithm 1 whole: from wherever the microscope stands to the saved view, with the answer arrived, not found or
+//! refused.
+
+use crate::event::tell;
+use crate::procedure::{Procedure, Progress};
+use crate::servo::ServoTask;
+use crate::{
+    Calibrate, CalibrateOptions, Calibration, Engine, Event, Focus, FocusOptions, Phase, Servo,
+    ServoEnd, ServoError, ServoOptions, ServoResult, Sink, Target, VisionOptions,
+};
+use scopeservo_scope::{ErrorKind, Instrument, Length, ObjectiveId};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Settings of a run.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RepositionOptions {
+    /// How to look.
+    pub vision: VisionOptions,
+    /// How to focus.
+    pub focus: FocusOptions,
+    /// How to calibrate.
+    pub calibrate: CalibrateOptions,
+    /// How to servo.
+    pub servo: ServoOptions,
+}
+
+/// The three answers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The saved view is back, checked on its own frames.
+    Arrived,
+    /// The saved view was not seen.
+    NotFound,
+    /// Something needed could not be done; nothing is claimed.
+    Refused,
+}
+
+/// Why a run ended, for programs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// The view is back.
+    Converged,
+    /// The target has too little texture to come back to.
+    BlankTarget,
+    /// No focus: nothing to see at the start.
+    NoFocus,
+    /// Calibration had too little to see or was implausible.
+    CalibrationFailed,
+    /// The target is not in the view.
+    TargetNotInView,
+    /// The iterations ran out.
+    IterationLimit,
+    /// The error grew.
+    Diverged,
+    /// The way leads outside the limits.
+    OutsideLimits,
+}
+
+/// What happened at one magnification.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MagnificationResult {
+    /// The objective.
+    pub objective: ObjectiveId,
+    /// Its magnification.
+    pub magnification: f64,
+    /// How the loop ended there.
+    pub end: ServoEnd,
+    /// The calibration used.
+    pub calibration: Calibration,
+}
+
+/// The answer of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Outcome {
+    /// The answer.
+    pub verdict: Verdict,
+    /// Why, for programs.
+    pub reason: Reason,
+    /// Why, for people.
+    pub message: String,
+    /// Last measured distance with its uncertainty added in quadrature, um.
+    pub estimated_error_um: Option<f64>,
+    /// Last measured angle, degrees.
+    pub estimated_error_deg: Option<f64>,
+    /// Every magnification that was servoed, in order.
+    pub magnifications: Vec<MagnificationResult>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum State {
+    Begin,
+    Switch,
+    Focus(Box<Focus>),
+    Calibrate(Box<Calibrate>),
+    Servo(Servo),
+}
+
+/// Fewer features than this and a target cannot be told from others.
+const MIN_TARGET_FEATURES: usize = 30;
+
+/// Algorithm 1 as a step machine. Serialise it between two steps to continue after a kill.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Reposition {
+    options: RepositionOptions,
+    target: Target,
+    /// Objectives still to visit, and whether to servo there; the first is for K_t alone.
+    legs: Vec<(ObjectiveId, bool)>,
+    state: State,
+    calibrations: BTreeMap<ObjectiveId, Calibration>,
+    focus_um: BTreeMap<ObjectiveId, f64>,
+    done: Vec<MagnificationResult>,
+}
+
+impl Reposition {
+    /// A run that brings `target` back.
+    pub fn new(target: Target, options: RepositionOptions) -> Self {
+        Self {
+            options,
+            target,
+            legs: Vec::new(),
+            state: State::Begin,
+            calibrations: BTreeMap::new(),
+            focus_um: BTreeMap::new(),
+            done: Vec::new(),
+        }
+    }
+
+    /// Algorithm 1, lines 2 and 6: the target's objective first, for K_t; then every objective up to the target's, from
+    /// the lowest magnification on.
+    fn plan(&mut self, scope: &Instrument) -> Result<(), ServoError> {
+        let last = scope.objective(&self.target.objective)?.clone();
+        let mut ladder: Vec<_> = scope
+            .nosepiece()
+            .objectives()
+            .iter()
+            .filter(|o| o.id == last.id || o.magnification < last.magnification)
+            .collect();
+        ladder.sort_by(|a, b| a.magnification.total_cmp(&b.magnification));
+        self.legs = ladder.iter().map(|o| (o.id.clone(), true)).collect();
+        if self.legs.len() > 1 {
+            self.legs.insert(0, (last.id, false));
+        }
+        Ok(())
+    }
+
+    fn enter(&self, scope: &Instrument, sink: &mut dyn Sink, phase: Phase) {
+        if let Some((objective, _)) = self.legs.first() {
+            let objective = objective.clone();
+            tell(scope, sink, Event::PhaseStarted { phase, objective });
+        }
+    }
+
+    fn advance(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Option<Outcome>, ServoError> {
+        if let State::Begin = self.state {
+            self.plan(scope)?;
+            let engine = Engine::current();
+            let event = Event::Started {
+                objectives: self
+                    .legs
+                    .iter()
+                    .filter(|l| l.1)
+                    .map(|l| l.0.clone())
+                    .collect(),
+                target_objective: self.target.objective.clone(),
+                engine: engine.name,
+                cpu_level: engine.cpu_level,
+            };
+            tell(scope, sink, event);
+            let features = self.target.features.len();
+            if features < MIN_TARGET_FEATURES {
+                let message = format!(
+                    "the target has {features} features and at least {MIN_TARGET_FEATURES} are needed to recognise it: \
+                     save a view with more tissue in focus"
+                );
+                return Ok(Some(self.outcome(
+                    Verdict::Refused,
+                    Reason::BlankTarget,
+                    message,
+                )));
+            }
+            self.state = State::Switch;
+            return Ok(None);
+        }
+        let Some((objective, servo_here)) = self.legs.first().cloned() else {
+            return Err(ServoError::BadOption(
+                "this run has ended already; start a new one".into(),
+            ));
+        };
+        match &mut self.state {
+            State::Begin | State::Switch => {
+                self.enter(scope, sink, Phase::Switch);
+                scope.select_objective(&objective)?;
+                let focus = Focus::new(
+                    scope.objective(&objective)?.clone(),
+                    self.options.focus.clone(),
+                );
+                self.enter(scope, sink, Phase::Focus);
+                self.state = State::Focus(Box::new(focus));
+            }
+            State::Focus(focus) => {
+                if let Progress::Done(result) = focus.step(scope, sink)? {
+                    if let Some(z) = result.z_um {
+                        self.focus_um.insert(objective.clone(), z);
+                    }
+                    let event = Event::Focused {
+                        objective: objective.clone(),
+                        result,
+                    };
+                    tell(scope, sink, event);
+                    let calibrate = Calibrate::new(
+                        scope.objective(&objective)?.clone(),
+                        self.options.calibrate.clone(),
+                        self.options.vision.clone(),
+                    );
+                    self.enter(scope, sink, Phase::Calibrate);
+                    self.state = State::Calibrate(Box::new(calibrate));
+                }
+            }
+            State::Calibrate(calibrate) => {
+                if let Progress::Done(mut calibration) = calibrate.step(scope, sink)? {
+                    let heights = (
+                        self.focus_um.get(&objective),
+                        self.focus_um.get(&self.target.objective),
+                    );
+                    if let (Some(here), Some(there)) = heights {
+                        calibration.parfocal_offset_m = Some(Length::from_um(here - there).m());
+                    }
+                    self.calibrations.insert(objective, calibration);
+                    if servo_here {
+                        self.enter(scope, sink, Phase::Servo);
+                        self.state = State::Servo(Servo::default());
+                    } else {
+                        self.next_leg();
+                    }
+                }
+            }
+            State::Servo(servo) => {
+                let missing = || {
+                    ServoError::BadOption("a stored run lacks a calibration; start it anew".into())
+                };
+                // After the last leg's calibration K_t is the newer of its two measurements.
+                let task = ServoTask {
+                    target: &self.target,
+                    view_calibration: self.calibrations.get(&objective).ok_or_else(missing)?,
+                    target_calibration: self
+                        .calibrations
+                        .get(&self.target.objective)
+                        .ok_or_else(missing)?,
+                    vision: &self.options.vision,
+                    options: &self.options.servo,
+                };
+                if let Progress::Done(end) = servo.step(&task, scope, sink)? {
+                    self.done.push(MagnificationResult {
+                        magnification: scope.objective(&objective)?.magnification,
+                        calibration: task.view_calibration.clone(),
+                        objective,
+                        end: end.clone(),
+                    });
+                    return Ok(self.after_servo(end));
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn next_leg(&mut self) {
+        self.legs.remove(0);
+        self.state = State::Switch;
+    }
+
+    /// The answer when a loop's end is the run's end.
+    fn after_servo(&mut self, end: ServoEnd) -> Option<Outcome> {
+        let at = self.done.last().map_or(0.0, |d| d.magnification);
+        match end {
+            ServoEnd::Converged(_) if self.legs.len() > 1 => {
+                self.next_leg();
+                None
+            }
+            ServoEnd::Converged(result) => {
+                let message = format!(
+                    "the saved view is back, {:.2} um and {:.4} deg off by its own measurement",
+                    result.error.distance_um(),
+                    result.error.angle_deg()
+                );
+                Some(self.outcome(Verdict::Arrived, Reason::Converged, message))
+            }
+            ServoEnd::Lost(reason) => {
+                let message = format!(
+                    "the saved view was not found at {at}x: {reason}. Bring the specimen so that the place lies in the \
+                     field at the lowest magnification, and try again"
+                );
+                Some(self.outcome(Verdict::NotFound, Reason::TargetNotInView, message))
+            }
+            ServoEnd::IterationLimit(result) => {
+                let message = format!(
+                    "at {at}x the view was still {:.2} um off after {} iterations; raise the limit or lambda, or look for \
+                     vibration",
+                    result.error.distance_um(),
+                    result.iterations
+                );
+                Some(self.outcome(Verdict::Refused, Reason::IterationLimit, message))
+            }
+            ServoEnd::Diverged(result) => {
+                let message = format!(
+                    "at {at}x the view moved away, to {:.0} um, and the run was stopped: calibrate again and check that \
+                     nothing slips",
+                    result.error.distance_um()
+                );
+                Some(self.outcome(Verdict::Refused, Reason::Diverged, message))
+            }
+        }
+    }
+
+    fn outcome(&self, verdict: Verdict, reason: Reason, message: String) -> Outcome {
+        let last = self.done.last().and_then(|d| match &d.end {
+            ServoEnd::Converged(r) | ServoEnd::IterationLimit(r) | ServoEnd::Diverged(r) => Some(r),
+            ServoEnd::Lost(_) => None,
+        });
+        Outcome {
+            verdict,
+            reason,
+            message,
+            estimated_error_um: last
+                .map(|r: &ServoResult| f64::hypot(r.error.distance_um(), r.sigma_um)),
+            estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
+            magnifications: self.done.clone(),
+        }
+    }
+
+    /// Turns what the method or the limits refuse into an answer; faults and interruptions stay errors.
+    fn answer(&self, error: ServoError) -> Result<Outcome, ServoError> {
+        let reason = match &error {
+            ServoError::NoFocus { .. } => Reason::NoFocus,
+            ServoError::CalibrationViews { .. } | ServoError::CalibrationImplausible { .. } => {
+                Reason::CalibrationFailed
+            }
+            ServoError::Scope(e @ scopeservo_scope::ScopeError::OutsideLimits { .. })
+                if e.kind() == ErrorKind::Refused =>
+            {
+                Reason::OutsideLimits
+            }
+            _ => return Err(error),
+        };
+        Ok(self.outcome(Verdict::Refused, reason, error.to_string()))
+    }
+}
+
+impl Procedure for Reposition {
+    type Output = Outcome;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Outcome>, ServoError> {
+        let ended = match self.advance(scope, sink) {
+            Ok(ended) => ended,
+            Err(error) => Some(self.answer(error)?),
+        };
+        Ok(match ended {
+            None => Progress::Continue,
+            Some(outcome) => {
+                self.legs.clear();
+                let event = Event::Finished {
+                    outcome: outcome.clone(),
+                };
+                tell(scope, sink, event);
+                Progress::Done(outcome)
+            }
+        })
+    }
+}

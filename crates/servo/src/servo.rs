@@ -1,0 +1,278 @@
+//! The servo loop at one magnification. The page to read first.
+//!
+//! One step: grab, describe, match and fit, homography, pose error, control, move. It ends when the error passes the
+//! convergence test in `confirmations` frames in a row, without a move in between: arrival is claimed by the image.
+
+use crate::control::motion_of;
+use crate::event::tell;
+use crate::procedure::Progress;
+use crate::vision::{centre_px, features, grab};
+use crate::{
+    Calibration, Event, FrameRole, PlanarPose, PoseError, ServoError, Sink, Target, VisionOptions,
+    control_law, pose_after, pose_error,
+};
+use scopeservo_registration::{
+    Estimate, NotFound, Prior, Registration, RotationPrior, ScalePrior, register,
+};
+use scopeservo_scope::{Axis, Instrument};
+use serde::{Deserialize, Serialize};
+
+/// Settings of the loop.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ServoOptions {
+    /// Gain: the share of the error that one iteration takes away. The paper's is 0.2.
+    pub lambda: f64,
+    /// Iterations at one magnification, at most.
+    pub max_iterations: usize,
+    /// Convergence: the distance must be at most this many pixels of the present view...
+    pub position_px: f64,
+    /// ...and the angle at most this, times the ratio of view pixel to target pixel size.
+    pub angle_deg: f64,
+    /// Frames in a row that must pass.
+    pub confirmations: usize,
+    /// Frames in a row that may be lost before giving up.
+    pub max_lost: usize,
+    /// Divergence: give up when the error grows to this many times its first value, and over ten view pixels.
+    pub divergence_factor: f64,
+}
+
+impl Default for ServoOptions {
+    fn default() -> Self {
+        Self {
+            lambda: 0.2,
+            max_iterations: 64,
+            position_px: 0.8,
+            angle_deg: 0.01,
+            confirmations: 2,
+            max_lost: 3,
+            divergence_factor: 3.0,
+        }
+    }
+}
+
+/// What a servo loop needs to know; none of it changes while it runs.
+pub struct ServoTask<'a> {
+    /// The view to come back to.
+    pub target: &'a Target,
+    /// Calibration of the objective in the beam.
+    pub view_calibration: &'a Calibration,
+    /// Calibration of the target's objective (K_t).
+    pub target_calibration: &'a Calibration,
+    /// How to look.
+    pub vision: &'a VisionOptions,
+    /// How to move.
+    pub options: &'a ServoOptions,
+}
+
+/// How a loop ended.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ServoEnd {
+    /// The view is there.
+    Converged(ServoResult),
+    /// The target is not in the view.
+    Lost(NotFound),
+    /// The iterations ran out.
+    IterationLimit(ServoResult),
+    /// The error grows: a sign or a calibration is wrong.
+    Diverged(ServoResult),
+}
+
+/// The last error and how well it is known.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ServoResult {
+    /// Iterations done.
+    pub iterations: usize,
+    /// Agreeing places in the last frame.
+    pub inliers: usize,
+    /// The last error; the mean over the confirming frames after convergence.
+    pub error: PoseError,
+    /// Standard deviation of the error's distance, um, from the registration's covariance.
+    pub sigma_um: f64,
+}
+
+/// The loop's state.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Servo {
+    iteration: usize,
+    lost_in_a_row: usize,
+    first_error_m: Option<f64>,
+    last_angle_rad: Option<f64>,
+    passed: Vec<PoseError>,
+}
+
+impl Servo {
+    /// One iteration.
+    ///
+    /// # Errors
+    /// Faults, refused moves and interruptions of the instrument.
+    pub fn step(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<ServoEnd>, ServoError> {
+        let objective = &task.view_calibration.objective;
+        let present = scope.stage().position()?;
+        // Camera.
+        let frame = grab(scope, sink, FrameRole::Servo, objective)?;
+        // Features, match and fit.
+        let view = features(&frame, &task.vision.view)?;
+        let registration = register(
+            &view,
+            &task.target.features,
+            &self.prior(task),
+            &task.vision.registration,
+        );
+        let estimate = match &registration.outcome {
+            Ok(estimate) => estimate.clone(),
+            Err(reason) => return Ok(self.lost(task, scope, sink, frame.sequence, reason)),
+        };
+        self.lost_in_a_row = 0;
+        self.last_angle_rad = estimate.target_from_view.linear.rotation_angle();
+        // Homography and pose error.
+        let Some(error) = pose_error(
+            &estimate.target_from_view,
+            task.view_calibration,
+            task.target_calibration,
+            centre_px(frame.width, frame.height),
+            centre_px(task.target.features.width, task.target.features.height),
+        ) else {
+            let reason = NotFound::NoAgreement {
+                matches: registration.matches,
+            };
+            return Ok(self.lost(task, scope, sink, frame.sequence, &reason));
+        };
+        // Control.
+        let turns = scope.stage().info().axis(Axis::Rz).is_some();
+        let converged = passes(&error, turns, task);
+        let mut velocity = control_law(&error, task.options.lambda);
+        if !turns {
+            velocity.theta_rad = 0.0;
+        }
+        let event = Event::Iteration {
+            objective: objective.clone(),
+            iteration: self.iteration,
+            sequence: frame.sequence,
+            stage: present,
+            error,
+            velocity,
+            target_from_view: estimate.target_from_view,
+            inliers: registration.inliers,
+            matches: registration.matches,
+            sigma_px: estimate.sigma_px,
+            pairs: registration.pairs.clone(),
+            converged,
+        };
+        tell(scope, sink, event);
+        if let Some(end) = self.judge(task, &error, converged, &registration, &estimate) {
+            return Ok(Progress::Done(end));
+        }
+        // Stage. A frame that passes is confirmed by the next one from the same place.
+        if !converged {
+            let motion = motion_of(&velocity, task.view_calibration);
+            let kinematics = scope.stage().info().kinematics;
+            let to = pose_after(kinematics, &PlanarPose::from(&present), &motion);
+            scope.move_to(&to.request(&present))?;
+        }
+        self.iteration += 1;
+        Ok(Progress::Continue)
+    }
+
+    /// What is known before matching: the scale from both calibrations, the angle from the last frame.
+    fn prior(&self, task: &ServoTask<'_>) -> Prior {
+        Prior {
+            scale: Some(ScalePrior {
+                ratio: task.view_calibration.um_per_px() / task.target_calibration.um_per_px(),
+                tolerance: 0.04,
+            }),
+            rotation: self.last_angle_rad.map(|angle_rad| RotationPrior {
+                angle_rad,
+                tolerance_rad: 0.1,
+            }),
+        }
+    }
+
+    /// Whether this frame ends the loop.
+    fn judge(
+        &mut self,
+        task: &ServoTask<'_>,
+        error: &PoseError,
+        converged: bool,
+        registration: &Registration,
+        estimate: &Estimate,
+    ) -> Option<ServoEnd> {
+        let options = task.options;
+        let distance_m = error.distance_um() * 1e-6;
+        let first = *self.first_error_m.get_or_insert(distance_m);
+        if converged {
+            self.passed.push(*error);
+        } else {
+            self.passed.clear();
+        }
+        let result = |error: PoseError| ServoResult {
+            iterations: self.iteration + 1,
+            inliers: registration.inliers,
+            error,
+            sigma_um: estimate.sigma_px
+                * std::f64::consts::SQRT_2
+                * task.target_calibration.um_per_px(),
+        };
+        let far = 10.0 * task.view_calibration.um_per_px() * 1e-6;
+        if self.passed.len() >= options.confirmations.max(1) {
+            Some(ServoEnd::Converged(result(mean(&self.passed))))
+        } else if distance_m > far && distance_m > options.divergence_factor * first {
+            Some(ServoEnd::Diverged(result(*error)))
+        } else if self.iteration + 1 >= options.max_iterations {
+            Some(ServoEnd::IterationLimit(result(*error)))
+        } else {
+            None
+        }
+    }
+
+    fn lost(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        sequence: u64,
+        reason: &NotFound,
+    ) -> Progress<ServoEnd> {
+        let event = Event::Lost {
+            objective: task.view_calibration.objective.clone(),
+            iteration: self.iteration,
+            sequence,
+            reason: reason.clone(),
+        };
+        tell(scope, sink, event);
+        self.passed.clear();
+        self.lost_in_a_row += 1;
+        self.iteration += 1;
+        if self.lost_in_a_row >= task.options.max_lost.max(1)
+            || self.iteration >= task.options.max_iterations
+        {
+            Progress::Done(ServoEnd::Lost(reason.clone()))
+        } else {
+            Progress::Continue
+        }
+    }
+}
+
+/// The convergence test: within `position_px` pixels of the present view and, where the stage can turn, within
+/// `angle_deg` times the ratio of view pixel to target pixel.
+fn passes(error: &PoseError, turns: bool, task: &ServoTask<'_>) -> bool {
+    let pixel_um = task.view_calibration.um_per_px();
+    let coarseness = (pixel_um / task.target_calibration.um_per_px()).max(1.0);
+    error.distance_um() <= task.options.position_px * pixel_um
+        && (!turns || error.angle_deg().abs() <= task.options.angle_deg * coarseness)
+}
+
+fn mean(errors: &[PoseError]) -> PoseError {
+    let n = errors.len() as f64;
+    let sum = |f: &dyn Fn(&PoseError) -> f64| errors.iter().map(f).sum::<f64>() / n;
+    PoseError {
+        t_m: [sum(&|e| e.t_m[0]), sum(&|e| e.t_m[1])],
+        theta_rad: sum(&|e| e.theta_rad),
+    }
+}

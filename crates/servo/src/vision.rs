@@ -1,0 +1,117 @@
+//! From the camera to features, and the target as a value.
+
+use crate::event::tell;
+use crate::{Event, FrameRole, ServoError, Sink};
+use scopeservo_scope::{Frame, Instrument, ObjectiveId};
+use scopeservo_sift::{Features, GrayImage, detect_and_describe};
+use serde::{Deserialize, Serialize};
+
+/// Feature budgets and registration settings of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct VisionOptions {
+    /// Detector settings for views.
+    pub view: scopeservo_sift::Options,
+    /// Detector settings for the target: made once, so it keeps more features. At a lower magnification only its coarse
+    /// ones can be seen, and those are weak ones at 400x.
+    pub target: scopeservo_sift::Options,
+    /// Registration settings.
+    pub registration: scopeservo_registration::Options,
+}
+
+impl Default for VisionOptions {
+    fn default() -> Self {
+        Self {
+            view: scopeservo_sift::Options {
+                max_features: 3000,
+                ..Default::default()
+            },
+            target: scopeservo_sift::Options {
+                max_features: 8000,
+                ..Default::default()
+            },
+            registration: scopeservo_registration::Options::default(),
+        }
+    }
+}
+
+/// Which code made the features of a run.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Engine {
+    /// Name and version.
+    pub name: String,
+    /// CPU level of its kernels.
+    pub cpu_level: String,
+}
+
+impl Engine {
+    /// The engine of this build.
+    pub fn current() -> Self {
+        Self {
+            name: format!("scopeservo-sift {}", env!("CARGO_PKG_VERSION")),
+            cpu_level: "scalar".into(),
+        }
+    }
+}
+
+/// A saved view: its features and what made it. The picture itself is not needed to come back to it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Target {
+    /// The objective it was taken with.
+    pub objective: ObjectiveId,
+    /// Its features, made with the target settings.
+    pub features: Features,
+}
+
+impl Target {
+    /// Grabs the present view as a target.
+    ///
+    /// # Errors
+    /// Instrument and detector errors; [`ServoError::BadOption`] when no objective is in the beam.
+    pub fn save(
+        scope: &Instrument,
+        options: &VisionOptions,
+        sink: &mut dyn Sink,
+    ) -> Result<Self, ServoError> {
+        let objective = scope.nosepiece().current()?.ok_or_else(|| {
+            ServoError::BadOption("no objective is in the beam; select one and try again".into())
+        })?;
+        let frame = grab(scope, sink, FrameRole::Target, &objective)?;
+        Ok(Self {
+            objective,
+            features: features(&frame, &options.target)?,
+        })
+    }
+}
+
+/// Grabs a fresh frame and tells of it.
+pub(crate) fn grab(
+    scope: &Instrument,
+    sink: &mut dyn Sink,
+    role: FrameRole,
+    objective: &ObjectiveId,
+) -> Result<Frame, ServoError> {
+    let frame = scope.grab()?;
+    sink.frame(&frame, role);
+    let event = Event::FrameGrabbed {
+        sequence: frame.sequence,
+        role,
+        objective: objective.clone(),
+    };
+    tell(scope, sink, event);
+    Ok(frame)
+}
+
+/// Features of a frame's luminance.
+pub(crate) fn features(
+    frame: &Frame,
+    options: &scopeservo_sift::Options,
+) -> Result<Features, ServoError> {
+    let image = GrayImage::new(frame.width, frame.height, frame.luminance())?;
+    Ok(detect_and_describe(&image, options)?)
+}
+
+/// The pixel that everything is measured from: the image's centre, each image its own.
+pub(crate) fn centre_px(width: usize, height: usize) -> [f64; 2] {
+    [(width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0]
+}
