@@ -1,3 +1,45 @@
-//! A simulated microscope. Shares no code with what it tests.
+//! A simulated microscope that knows the truth. Shares no code with what it tests.
+//!
+//! A [`Twin`] is a stage, a camera and a nosepiece over a [`Specimen`], all on one [`Clock`]: on a virtual clock
+//! minutes pass in seconds, and the same seed with the same calls gives the same frames, bit for bit, on any number of
+//! threads. [`Twin::truth`] tells where each frame really was taken; nothing that is tested may ask it.
+//!
+//! ```
+//! use scopeservo_scope::VirtualClock;
+//! use scopeservo_twin::{Blank, Config, Twin};
+//! use std::sync::Arc;
+//!
+//! let twin = Twin::new(Config::realistic(), Arc::new(Blank), 1, Arc::new(VirtualClock::new()))?;
+//! twin.centre_specimen([1000.0, -500.0], 30.0);
+//! let frame = twin.camera().grab()?;
+//! let truth = twin.truth(frame.sequence).expect("every grabbed frame has one");
+//! assert!((truth.centre_um[0] - 1000.0).abs() < 1.0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! [`Clock`]: scopeservo_scope::Clock
 
+mod blur;
+mod config;
+mod devices;
+mod faults;
+mod nosepiece;
+mod optics;
+mod render;
+mod seeds;
+mod sensor;
+mod slide;
 pub mod specimen;
+mod stage;
+mod truth;
+mod twin;
+
+pub use config::{
+    CameraConfig, Config, MountConfig, NosepieceConfig, ObjectiveConfig, SlideConfig,
+};
+pub use faults::StageFault;
+pub use slide::SpecimenEvent;
+pub use specimen::{Blank, FileSpecimen, Patch, Specimen, SpecimenError, Tissue};
+pub use stage::{AxisConfig, StageConfig};
+pub use truth::{TrueCalibration, Truth};
+pub use twin::{Twin, TwinError};

@@ -1,0 +1,234 @@
+//! The twin behind the instrument contract.
+
+use crate::optics::View;
+use crate::render::{Planes, Scene, blend, instants, render};
+use crate::slide::Effects;
+use crate::specimen::Specimen;
+use crate::twin::{Inner, State};
+use scopeservo_scope::{
+    Camera, CameraInfo, Frame, Motion, Nosepiece, Objective, ObjectiveId, ScopeError, Stage,
+    StageInfo, StagePose, Timestamp,
+};
+use std::sync::Arc;
+use std::time::Duration;
+
+pub(crate) struct TwinStage(pub(crate) Arc<Inner>);
+
+impl Stage for TwinStage {
+    fn info(&self) -> &StageInfo {
+        &self.0.stage_info
+    }
+    fn position(&self) -> Result<StagePose, ScopeError> {
+        let now = self.0.now();
+        Ok(self.0.state().stage.reported(now))
+    }
+    fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
+        let now = self.0.now();
+        self.0.state().stage.start_move(to, now)
+    }
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        let now = self.0.now();
+        Ok(self.0.state().stage.motion(now))
+    }
+    fn stop(&self) -> Result<(), ScopeError> {
+        let now = self.0.now();
+        self.0.state().stage.stop(now);
+        Ok(())
+    }
+}
+
+pub(crate) struct TwinNosepiece(pub(crate) Arc<Inner>);
+
+impl Nosepiece for TwinNosepiece {
+    fn objectives(&self) -> &[Objective] {
+        &self.0.objectives
+    }
+    fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
+        let now = self.0.now();
+        let index = self.0.state().nosepiece.current(now);
+        Ok(index.map(|i| self.0.objectives[i].id.clone()))
+    }
+    fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
+        let all = &self.0.objectives;
+        let Some(index) = all.iter().position(|o| o.id == *to) else {
+            let names: Vec<&str> = all.iter().map(|o| o.id.0.as_str()).collect();
+            return Err(ScopeError::NoSuchObjective {
+                asked: to.clone(),
+                available: names.join(", "),
+            });
+        };
+        let now = self.0.now();
+        self.0.state().nosepiece.start_change(index, now)
+    }
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        let now = self.0.now();
+        Ok(self.0.state().nosepiece.motion(now))
+    }
+    fn stop(&self) -> Result<(), ScopeError> {
+        let now = self.0.now();
+        self.0.state().nosepiece.stop(now);
+        Ok(())
+    }
+}
+
+pub(crate) struct TwinCamera(pub(crate) Arc<Inner>);
+
+/// One frame on its way: when, and what is wrong with it.
+struct Slot {
+    sequence: u64,
+    start: Duration,
+    period: Duration,
+    exposure: Duration,
+    late_by: Duration,
+    torn: bool,
+}
+
+impl TwinCamera {
+    /// Time from one frame to the next.
+    fn period(&self, exposure: Duration) -> Duration {
+        let camera = &self.0.config.camera;
+        let readout = Duration::from_secs_f64(camera.readout_ms * 1e-3);
+        (exposure + readout).max(Duration::from_secs_f64(1.0 / camera.frames_per_s))
+    }
+
+    /// Takes the first slot that begins now or later, behind those that are lost.
+    fn take_slot(&self) -> Slot {
+        let mut state = self.0.state();
+        let exposure = state.exposure;
+        let period = self.period(exposure);
+        let now = self.0.clock.now().since(Timestamp::default());
+        let lost = std::mem::take(&mut state.drop_frames);
+        let first = now.as_nanos().div_ceil(period.as_nanos()) as u64;
+        // 64 bits of nanoseconds are 584 years.
+        let start = Duration::from_nanos((first + u64::from(lost)) * period.as_nanos() as u64);
+        let sequence = state.next_sequence + u64::from(lost);
+        state.next_sequence = sequence + 1;
+        let late = state.late_frames > 0;
+        state.late_frames = state.late_frames.saturating_sub(1);
+        Slot {
+            sequence,
+            start,
+            period,
+            exposure,
+            late_by: if late { state.late_by } else { Duration::ZERO },
+            torn: std::mem::take(&mut state.torn),
+        }
+    }
+
+    /// The views of one exposure: what to blend, and how far the picture moves between two of them.
+    fn views(&self, state: &State, start: f64, exposure: f64) -> (Vec<View>, f64) {
+        let camera = &self.0.config.camera;
+        let at = |share: f64| self.0.view(state, start + share * exposure);
+        let three = [at(0.0), at(0.5), at(1.0)];
+        let (count, gap_px) = instants(&three, camera.width, camera.height);
+        if count == 1 {
+            return (vec![three[1]], 0.0);
+        }
+        let views = (0..count)
+            .map(|i| at((i as f64 + 0.5) / count as f64))
+            .collect();
+        // A third of the gap, as a standard deviation, closes it without widening the smear much.
+        (views, if gap_px > 1.0 { gap_px / 3.0 } else { 0.0 })
+    }
+
+    fn light(
+        &self,
+        specimen: &dyn Specimen,
+        effects: &Effects,
+        (views, smear_px): &(Vec<View>, f64),
+    ) -> Result<Planes, ScopeError> {
+        let camera = &self.0.config.camera;
+        let mut rendered = Vec::with_capacity(views.len());
+        for view in views {
+            let scene = Scene {
+                specimen,
+                effects,
+                optics: &self.0.config.optics[view.objective],
+                width: camera.width,
+                height: camera.height,
+            };
+            let planes = render(&scene, view, *smear_px).map_err(|e| ScopeError::Device {
+                device: "camera",
+                detail: format!("the simulated specimen could not be read: {e}"),
+            })?;
+            rendered.push(planes);
+        }
+        Ok(blend(rendered).unwrap_or_default())
+    }
+}
+
+impl Camera for TwinCamera {
+    fn info(&self) -> &CameraInfo {
+        &self.0.camera_info
+    }
+
+    fn exposure(&self) -> Result<Duration, ScopeError> {
+        Ok(self.0.state().exposure)
+    }
+
+    fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
+        let info = &self.0.camera_info;
+        if exposure < info.min_exposure || exposure > info.max_exposure {
+            return Err(ScopeError::BadSetting {
+                what: format!(
+                    "the camera exposes for {:?} to {:?}; {exposure:?} was asked for",
+                    info.min_exposure, info.max_exposure
+                ),
+            });
+        }
+        self.0.state().exposure = exposure;
+        Ok(exposure)
+    }
+
+    fn grab(&self) -> Result<Frame, ScopeError> {
+        let slot = self.take_slot();
+        let camera = &self.0.config.camera;
+        let readout = Duration::from_secs_f64(camera.readout_ms * 1e-3);
+        let ready = slot.start + slot.exposure + readout + slot.late_by;
+        let now = self.0.clock.now().since(Timestamp::default());
+        self.0.clock.sleep(ready.saturating_sub(now));
+
+        let (start, exposure) = (slot.start.as_secs_f64(), slot.exposure.as_secs_f64());
+        let (specimen, effects, middle, views, older) = {
+            let mut state = self.0.state();
+            let middle = self.0.view(&state, start + 0.5 * exposure);
+            let truth = self.0.truth(&middle, Some(slot.sequence));
+            state.truths.insert(slot.sequence, truth);
+            let older = slot
+                .torn
+                .then(|| self.views(&state, start - slot.period.as_secs_f64(), exposure));
+            (
+                state.specimen.clone(),
+                state.slide.effects.clone(),
+                middle,
+                self.views(&state, start, exposure),
+                older,
+            )
+        };
+        let mut light = self.light(&*specimen, &effects, &views)?;
+        if let Some(older) = older {
+            let below = self.light(&*specimen, &effects, &older)?;
+            let half = camera.width * (camera.height / 2);
+            for (l, b) in light.iter_mut().zip(&below) {
+                l[half..].copy_from_slice(&b[half..]);
+            }
+        }
+        let samples = self.0.sensor.develop(
+            &light,
+            &self.0.config.optics[middle.objective],
+            exposure * 1e3,
+            middle.lit,
+            slot.sequence,
+        );
+        Ok(Frame {
+            width: camera.width,
+            height: camera.height,
+            channels: camera.channels,
+            bit_depth: camera.bit_depth,
+            samples,
+            sequence: slot.sequence,
+            exposure_start: Timestamp::from_start(slot.start),
+            exposure: slot.exposure,
+        })
+    }
+}

@@ -1,0 +1,400 @@
+//! From the specimen to the light on the sensor: sampling, blur, blending over the exposure.
+
+use crate::blur;
+use crate::config::ObjectiveConfig;
+use crate::optics::{Affine, HALO_WIDTH, View, channel_blur_um, depth_of_field_um, halo};
+use crate::slide::{Effects, covered, restained};
+use crate::specimen::{Patch, Specimen, SpecimenError};
+use rayon::prelude::*;
+
+/// Blur wider than this, in samples, is computed on a coarser grid.
+const FINE_ENOUGH: f64 = 4.0;
+/// No blur is wider than this share of the picture: beyond it every picture is grey.
+const WIDEST: f64 = 0.25;
+
+/// What stays the same during one exposure.
+pub(crate) struct Scene<'a> {
+    pub(crate) specimen: &'a dyn Specimen,
+    pub(crate) effects: &'a Effects,
+    pub(crate) optics: &'a ObjectiveConfig,
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+}
+
+/// Three planes (red, green, blue), 1 is white.
+pub(crate) type Planes = [Vec<f32>; 3];
+
+/// How many instants of an exposure are looked at, from the view at its start, middle and end: one for a resting
+/// stage, five for a fast one. Also how far the picture moves between two of them, px.
+pub(crate) fn instants(views: &[View; 3], width: usize, height: usize) -> (usize, f64) {
+    let corners = [
+        [0.0, 0.0],
+        [width as f64, 0.0],
+        [0.0, height as f64],
+        [width as f64, height as f64],
+    ];
+    let pitch = views[1].um_per_px();
+    let way = |a: &View, b: &View| {
+        corners
+            .iter()
+            .map(|&p| {
+                let (s, q) = (
+                    a.specimen_from_pixel.apply(p),
+                    b.specimen_from_pixel.apply(p),
+                );
+                (s[0] - q[0]).hypot(s[1] - q[1]) / pitch
+            })
+            .fold(0.0, f64::max)
+    };
+    let moved = way(&views[0], &views[1]) + way(&views[1], &views[2]);
+    let count = match moved {
+        m if m < 0.1 => 1,
+        m if m < 2.0 => 3,
+        _ => 5,
+    };
+    (count, moved / count as f64)
+}
+
+/// The light at one instant. `smear_px` is extra blur that hides the gaps between the instants of a fast move.
+pub(crate) fn render(scene: &Scene, view: &View, smear_px: f64) -> Result<Planes, SpecimenError> {
+    let (w, h) = (scene.width, scene.height);
+    let pitch = view.um_per_px();
+    let slices = focal_slices(scene, view);
+    let widest = WIDEST * w.max(h) as f64;
+    let sigma = |dz: f64, channel: usize| {
+        (channel_blur_um(scene.optics, dz, channel) / pitch)
+            .hypot(smear_px)
+            .min(widest)
+    };
+    let all = || slices.iter().flat_map(|&dz| (0..3).map(move |c| (dz, c)));
+    let narrow = all()
+        .map(|(dz, c)| sigma(dz, c))
+        .fold(f64::INFINITY, f64::min);
+    let wide = all()
+        .map(|(dz, c)| {
+            let halo = if halo(scene.optics, dz) > 0.0 {
+                HALO_WIDTH
+            } else {
+                1.0
+            };
+            halo * sigma(dz, c)
+        })
+        .fold(0.0, f64::max);
+    let mut step = 1usize;
+    while narrow / (2 * step) as f64 >= FINE_ENOUGH {
+        step *= 2;
+    }
+    let grid = Grid::new(w, h, step, blur::reach(wide / step as f64).min(256));
+    let sharp = sample(scene, view, &grid, step as f64 * pitch)?;
+
+    let blurred = |dz: f64| -> Planes {
+        let mut planes = sharp.clone();
+        let share = halo(scene.optics, dz) as f32;
+        planes.par_iter_mut().enumerate().for_each(|(c, plane)| {
+            let sigma = sigma(dz, c) / step as f64;
+            blur::blur(plane, grid.width, sigma);
+            if share > 0.005 {
+                let mut around = plane.clone();
+                blur::blur(
+                    &mut around,
+                    grid.width,
+                    sigma * (HALO_WIDTH * HALO_WIDTH - 1.0).sqrt(),
+                );
+                for (v, a) in plane.iter_mut().zip(&around) {
+                    *v += share * (a - *v);
+                }
+            }
+        });
+        planes
+    };
+    if let [dz] = slices[..] {
+        let planes = blurred(dz);
+        return Ok(planes.map(|p| grid.to_pixels(&p)));
+    }
+    // A tilted specimen: between two slices of focus, mix their pictures.
+    let mut out: Planes = std::array::from_fn(|_| vec![0.0; w * h]);
+    let gap = slices[1] - slices[0];
+    let p0 = crate::optics::principal_point(w, h);
+    for &dz in &slices {
+        let planes = blurred(dz).map(|p| grid.to_pixels(&p));
+        for (out, plane) in out.iter_mut().zip(&planes) {
+            for (i, (o, v)) in out.iter_mut().zip(plane).enumerate() {
+                let (x, y) = ((i % w) as f64 - p0[0], (i / w) as f64 - p0[1]);
+                let here = view.defocus_um + view.slope_um[0] * x + view.slope_um[1] * y;
+                *o += (1.0 - ((here - dz) / gap).abs()).max(0.0) as f32 * v;
+            }
+        }
+    }
+    Ok(out)
+}
+
+/// The defoci at which the picture is computed: one for a level specimen, up to five across a tilted one.
+fn focal_slices(scene: &Scene, view: &View) -> Vec<f64> {
+    let reach = 0.5
+        * (view.slope_um[0].abs() * scene.width as f64
+            + view.slope_um[1].abs() * scene.height as f64);
+    let dof = depth_of_field_um(scene.optics.numerical_aperture);
+    if reach < 0.25 * dof {
+        return vec![view.defocus_um];
+    }
+    let count = ((2.0 * reach / dof).ceil() as usize + 1).clamp(3, 5);
+    (0..count)
+        .map(|i| view.defocus_um + reach * (2.0 * i as f64 / (count - 1) as f64 - 1.0))
+        .collect()
+}
+
+/// A grid of samples, `step` pixels apart, around the picture. Sample i lies at pixel `(i - margin + 0.5) step - 0.5`.
+struct Grid {
+    step: usize,
+    margin: usize,
+    width: usize,
+    height: usize,
+    out: [usize; 2],
+}
+
+impl Grid {
+    fn new(w: usize, h: usize, step: usize, reach: usize) -> Self {
+        let margin = if step > 1 { reach + 2 } else { reach };
+        Self {
+            step,
+            margin,
+            width: w.div_ceil(step) + 2 * margin,
+            height: h.div_ceil(step) + 2 * margin,
+            out: [w, h],
+        }
+    }
+
+    fn pixel_from_grid(&self) -> Affine {
+        let s = self.step as f64;
+        let t = (0.5 - self.margin as f64) * s - 0.5;
+        Affine([[s, 0.0, t], [0.0, s, t]])
+    }
+
+    /// Back to pixels: a cut, or a bilinear enlargement of what is smooth anyway.
+    fn to_pixels(&self, plane: &[f32]) -> Vec<f32> {
+        let [w, h] = self.out;
+        let mut out = vec![0.0; w * h];
+        let s = self.step as f64;
+        let at = |i: usize| {
+            let u = (i as f64 + 0.5) / s - 0.5 + self.margin as f64;
+            (u.floor() as usize, (u - u.floor()) as f32)
+        };
+        out.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
+            if self.step == 1 {
+                let from = (y + self.margin) * self.width + self.margin;
+                row.copy_from_slice(&plane[from..from + w]);
+                return;
+            }
+            let (j, fy) = at(y);
+            let upper = &plane[j * self.width..(j + 1) * self.width];
+            let lower = &plane[(j + 1) * self.width..(j + 2) * self.width];
+            for (x, v) in row.iter_mut().enumerate() {
+                let (i, fx) = at(x);
+                let top = upper[i] + fx * (upper[i + 1] - upper[i]);
+                let bottom = lower[i] + fx * (lower[i + 1] - lower[i]);
+                *v = top + fy * (bottom - top);
+            }
+        });
+        out
+    }
+}
+
+/// The specimen on the grid, before any blur. `pitch_um` is the distance of two grid samples.
+fn sample(scene: &Scene, view: &View, grid: &Grid, pitch_um: f64) -> Result<Planes, SpecimenError> {
+    let specimen_from_grid = grid.pixel_from_grid().then(&view.specimen_from_pixel);
+    let (gw, gh) = (grid.width as f64, grid.height as f64);
+    let mut lo = [f64::INFINITY; 2];
+    let mut hi = [f64::NEG_INFINITY; 2];
+    for corner in [
+        [-0.5, -0.5],
+        [gw - 0.5, -0.5],
+        [-0.5, gh - 0.5],
+        [gw - 0.5, gh - 0.5],
+    ] {
+        let s = specimen_from_grid.apply(corner);
+        for i in 0..2 {
+            lo[i] = lo[i].min(s[i]);
+            hi[i] = hi[i].max(s[i]);
+        }
+    }
+    // The coarsest level that still gives two samples per grid step.
+    let finest = scene.specimen.finest_um();
+    let level = (0..scene.specimen.levels())
+        .rev()
+        .find(|&l| finest * (1u64 << l.min(62)) as f64 <= 0.5 * pitch_um);
+    let patch = scene
+        .specimen
+        .patch(level.unwrap_or(0), [lo[0], hi[0]], [lo[1], hi[1]], 3)?;
+    let patch_from_grid = specimen_from_grid.then(&Affine([
+        [1.0 / patch.spacing_um, 0.0, -patch.x0_um / patch.spacing_um],
+        [0.0, -1.0 / patch.spacing_um, patch.y0_um / patch.spacing_um],
+    ]));
+    let count = grid.width * grid.height;
+    let mut planes: Planes = std::array::from_fn(|_| vec![0.0f32; count]);
+    let [red, green, blue] = &mut planes;
+    let stain = scene.effects.stain();
+    red.par_chunks_mut(grid.width)
+        .zip(green.par_chunks_mut(grid.width))
+        .zip(blue.par_chunks_mut(grid.width))
+        .enumerate()
+        .for_each(|(y, ((red, green), blue))| {
+            if level.is_some() {
+                average_row(&patch, &patch_from_grid, y as f64, [red, green, blue]);
+            } else {
+                cubic_row(&patch, &patch_from_grid, y as f64, [red, green, blue]);
+            }
+            if stain.is_none() && scene.effects.covers.is_empty() {
+                return;
+            }
+            for x in 0..red.len() {
+                let mut rgb = [red[x], green[x], blue[x]];
+                if let Some(stain) = &stain {
+                    rgb = restained(rgb, stain);
+                }
+                let s = specimen_from_grid.apply([x as f64, y as f64]);
+                for cover in &scene.effects.covers {
+                    rgb = covered(rgb, cover, s, pitch_um);
+                }
+                [red[x], green[x], blue[x]] = rgb;
+            }
+        });
+    Ok(planes)
+}
+
+/// The four quarters of a grid cell, each read bilinearly.
+fn average_row(
+    patch: &Patch,
+    patch_from_grid: &Affine,
+    y: f64,
+    [red, green, blue]: [&mut [f32]; 3],
+) {
+    let m = &patch_from_grid.0;
+    let quarters: [[f64; 2]; 4] =
+        [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]].map(|q| {
+            [
+                m[0][0] * q[0] + m[0][1] * q[1],
+                m[1][0] * q[0] + m[1][1] * q[1],
+            ]
+        });
+    let last = [
+        (patch.width - 2) as f64 + 0.999,
+        (patch.height - 2) as f64 + 0.999,
+    ];
+    let stride = 3 * patch.width;
+    const SCALE: f32 = 1.0 / (4.0 * 255.0);
+    for x in 0..red.len() {
+        let at = patch_from_grid.apply([x as f64, y]);
+        let mut sum = [0.0f32; 3];
+        for q in &quarters {
+            let u = (at[0] + q[0]).clamp(0.0, last[0]);
+            let v = (at[1] + q[1]).clamp(0.0, last[1]);
+            let (iu, iv) = (u as usize, v as usize);
+            let (fu, fv) = ((u - iu as f64) as f32, (v - iv as f64) as f32);
+            let from = iv * stride + 3 * iu;
+            let upper = &patch.rgb[from..from + 6];
+            let lower = &patch.rgb[from + stride..from + stride + 6];
+            let (w11, w01, w10) = (fu * fv, fv - fu * fv, fu - fu * fv);
+            let w00 = 1.0 - fu - fv + w11;
+            for c in 0..3 {
+                sum[c] += w00 * f32::from(upper[c])
+                    + w10 * f32::from(upper[c + 3])
+                    + w01 * f32::from(lower[c])
+                    + w11 * f32::from(lower[c + 3]);
+            }
+        }
+        red[x] = sum[0] * SCALE;
+        green[x] = sum[1] * SCALE;
+        blue[x] = sum[2] * SCALE;
+    }
+}
+
+/// One Catmull-Rom tap per grid cell, for specimens coarser than the picture.
+fn cubic_row(patch: &Patch, patch_from_grid: &Affine, y: f64, [red, green, blue]: [&mut [f32]; 3]) {
+    let last = [(patch.width - 3) as f64, (patch.height - 3) as f64].map(|v| v + 0.999);
+    let stride = 3 * patch.width;
+    for x in 0..red.len() {
+        let at = patch_from_grid.apply([x as f64, y]);
+        let (u, v) = (at[0].clamp(1.0, last[0]), at[1].clamp(1.0, last[1]));
+        let (iu, iv) = (u as usize, v as usize);
+        let wu = catmull_rom((u - iu as f64) as f32);
+        let wv = catmull_rom((v - iv as f64) as f32);
+        let mut sum = [0.0f32; 3];
+        for (j, wy) in wv.into_iter().enumerate() {
+            let from = (iv + j - 1) * stride + 3 * (iu - 1);
+            let taps = &patch.rgb[from..from + 12];
+            for c in 0..3 {
+                sum[c] += wy
+                    * (wu[0] * f32::from(taps[c])
+                        + wu[1] * f32::from(taps[c + 3])
+                        + wu[2] * f32::from(taps[c + 6])
+                        + wu[3] * f32::from(taps[c + 9]));
+            }
+        }
+        let [r, g, b] = sum.map(|v| (v / 255.0).clamp(0.0, 1.0));
+        red[x] = r;
+        green[x] = g;
+        blue[x] = b;
+    }
+}
+
+fn catmull_rom(t: f32) -> [f32; 4] {
+    let (t2, t3) = (t * t, t * t * t);
+    [
+        0.5 * (-t + 2.0 * t2 - t3),
+        0.5 * (2.0 - 5.0 * t2 + 3.0 * t3),
+        0.5 * (t + 4.0 * t2 - 3.0 * t3),
+        0.5 * (t3 - t2),
+    ]
+}
+
+/// The mean of several instants.
+pub(crate) fn blend(instants: Vec<Planes>) -> Option<Planes> {
+    let share = 1.0 / instants.len() as f32;
+    let mut instants = instants.into_iter();
+    let mut sum = instants.next()?;
+    for planes in instants {
+        for (s, p) in sum.iter_mut().zip(&planes) {
+            for (s, v) in s.iter_mut().zip(p) {
+                *s += v;
+            }
+        }
+    }
+    if share < 1.0 {
+        for s in &mut sum {
+            s.iter_mut().for_each(|v| *v *= share);
+        }
+    }
+    Some(sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cubic_weights_interpolate_and_sum_to_one() {
+        assert_eq!(catmull_rom(0.0), [0.0, 1.0, 0.0, 0.0]);
+        for t in [0.1, 0.5, 0.9] {
+            let w = catmull_rom(t);
+            assert!((w.iter().sum::<f32>() - 1.0).abs() < 1e-6);
+            // Reproduces straight lines.
+            assert!((-w[0] + w[2] + 2.0 * w[3] - t).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn coarse_grids_come_back_to_the_same_pixels() {
+        for step in [1usize, 2, 8] {
+            let grid = Grid::new(50, 37, step, 4);
+            let p = grid.pixel_from_grid();
+            let plane: Vec<f32> = (0..grid.width * grid.height)
+                .map(|i| p.apply([(i % grid.width) as f64, (i / grid.width) as f64]))
+                .map(|q| (q[0] + 100.0 * q[1]) as f32)
+                .collect();
+            for (i, v) in grid.to_pixels(&plane).into_iter().enumerate() {
+                let expected = (i % 50) as f32 + 100.0 * (i / 50) as f32;
+                assert!((v - expected).abs() < 0.01, "{step} {i}: {v}");
+            }
+        }
+    }
+}

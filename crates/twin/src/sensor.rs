@@ -1,0 +1,154 @@
+//! From light to numbers: illumination, exposure, noise, dust, dead pixels, quantisation.
+
+use crate::config::{CameraConfig, ObjectiveConfig};
+use crate::render::Planes;
+use crate::seeds;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+use scopeservo_scope::{Channels, Samples};
+
+/// What one camera has and another has not: dust on its window, dead pixels.
+pub(crate) struct Sensor {
+    config: CameraConfig,
+    seed: u64,
+    /// Light that passes the dust, per pixel.
+    window: Vec<f32>,
+    dead: Vec<Dead>,
+}
+
+struct Dead {
+    index: usize,
+    channel: usize,
+    bright: bool,
+}
+
+impl Sensor {
+    pub(crate) fn new(config: &CameraConfig, seed: u64) -> Self {
+        let (w, h) = (config.width, config.height);
+        let mut rng = seeds::rng(seed, seeds::SENSOR, 0);
+        let mut window = vec![1.0f32; w * h];
+        for _ in 0..config.dust_specks {
+            let x = rng.random::<f64>() * w as f64;
+            let y = rng.random::<f64>() * h as f64;
+            let radius: f64 = rng.random_range(3.0..8.0);
+            let [least, most] = config.dust_attenuation;
+            let depth = least + (most - least) * rng.random::<f64>();
+            for (i, v) in window.iter_mut().enumerate() {
+                let d_sq = ((i % w) as f64 - x).powi(2) + ((i / w) as f64 - y).powi(2);
+                // Out of focus: flat in the middle, soft at the edge, half at the radius.
+                let shade = depth / (1.0 + (d_sq / (radius * radius)).powi(3));
+                if shade > 1e-4 {
+                    *v *= 1.0 - shade as f32;
+                }
+            }
+        }
+        let dead = (0..config.dead_pixels)
+            .map(|_| Dead {
+                index: (rng.random::<f64>() * (w * h) as f64) as usize,
+                channel: (rng.random::<f64>() * 3.0) as usize,
+                bright: rng.random(),
+            })
+            .collect();
+        Self {
+            config: config.clone(),
+            seed,
+            window,
+            dead,
+        }
+    }
+
+    /// Reads the picture out. `exposure_ms` scales the light; `lit` is false while the nosepiece blocks the beam.
+    pub(crate) fn develop(
+        &self,
+        light: &Planes,
+        optics: &ObjectiveConfig,
+        exposure_ms: f64,
+        lit: bool,
+        sequence: u64,
+    ) -> Samples {
+        let channels = self.config.channels.count();
+        let mut levels = vec![0u16; self.window.len() * channels];
+        levels
+            .par_chunks_mut(self.config.width * channels)
+            .enumerate()
+            .for_each(|(y, row)| {
+                let strength = if lit {
+                    exposure_ms / self.config.nominal_exposure_ms
+                } else {
+                    0.0
+                };
+                self.develop_row(light, optics, strength, sequence, y, row);
+            });
+        let top = full_scale(self.config.bit_depth);
+        for d in &self.dead {
+            let at = match self.config.channels {
+                Channels::Gray => d.index,
+                Channels::Rgb => 3 * d.index + d.channel,
+            };
+            levels[at] = if d.bright { top } else { 0 };
+        }
+        if self.config.bit_depth == 8 {
+            Samples::U8(levels.into_iter().map(|v| v as u8).collect())
+        } else {
+            Samples::U16(levels)
+        }
+    }
+
+    fn develop_row(
+        &self,
+        light: &Planes,
+        optics: &ObjectiveConfig,
+        strength: f64,
+        sequence: u64,
+        y: usize,
+        row: &mut [u16],
+    ) {
+        let config = &self.config;
+        let w = config.width;
+        let mut rng = seeds::rng(self.seed, seeds::PIXELS, (sequence << 14) ^ y as u64);
+        let full_well = config.full_well_e as f32;
+        let white = (strength * optics.brightness * config.white_level * config.full_well_e
+            / config.gain) as f32;
+        let top = f32::from(full_scale(config.bit_depth));
+        let level_per_e = top * config.gain as f32 / full_well;
+        let (half_w, half_h) = (0.5 * w as f32, 0.5 * config.height as f32);
+        let v = (y as f32 + 0.5 - half_h) / half_h;
+        let corner_sq = half_w * half_w + half_h * half_h;
+        let noisy = config.shot_noise || config.read_noise_e > 0.0;
+        let read_sq = (config.read_noise_e * config.read_noise_e) as f32;
+        let shot = f32::from(u8::from(config.shot_noise));
+        let channels = config.channels.count();
+        for x in 0..w {
+            let i = y * w + x;
+            let u = (x as f32 + 0.5 - half_w) / half_w;
+            let r_sq = (u * u * half_w * half_w + v * v * half_h * half_h) / corner_sq;
+            let shade = (1.0 - optics.vignetting as f32 * r_sq)
+                * (1.0 + optics.gradient[0] as f32 * u + optics.gradient[1] as f32 * v)
+                * self.window[i]
+                * white;
+            for c in 0..channels {
+                let value = if channels == 1 {
+                    0.299 * light[0][i] + 0.587 * light[1][i] + 0.114 * light[2][i]
+                } else {
+                    light[c][i]
+                };
+                let mut electrons = (value * shade).max(0.0);
+                if noisy {
+                    let unit: f32 = rng.sample(StandardNormal);
+                    electrons += unit * (shot * electrons + read_sq).sqrt();
+                }
+                let level = electrons.min(full_well) * level_per_e;
+                row[x * channels + c] = (level + 0.5).clamp(0.0, top) as u16;
+            }
+        }
+    }
+}
+
+fn full_scale(bit_depth: u8) -> u16 {
+    ((1u32 << bit_depth) - 1) as u16
+}
+
+#[cfg(test)]
+#[path = "sensor_tests.rs"]
+mod tests;

@@ -1,0 +1,588 @@
+//! The stage as a function of time: what it says (encoder) and where it really is (truth).
+//!
+//! The history is a list of segments, each a pure function of time; nothing runs in the background, so a virtual and a
+//! real clock give the same motion.
+
+use crate::config::{finite, not_negative, positive, require};
+use crate::{TwinError, seeds};
+use rand::RngExt;
+use rand_pcg::Pcg64Mcg;
+use scopeservo_scope::{
+    Axis, AxisInfo, Kinematics, Motion, PositiveZ, ScopeError, StageInfo, StagePose,
+};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+
+/// SI values of the six axes in the order of [`Axis::ALL`].
+pub(crate) type Six = [f64; 6];
+
+/// One axis. Lengths are in the unit of the field's name for x, y, z; rotations use the second unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AxisConfig {
+    /// Which axis.
+    pub axis: Axis,
+    /// Both ends of travel, mm or deg. The stage starts in the middle.
+    pub travel: [f64; 2],
+    /// Top speed, mm/s or deg/s.
+    pub speed: f64,
+    /// Half-width of the interval in which repeated arrivals end, um or urad.
+    #[serde(default)]
+    pub repeatability: f64,
+    /// Play in the drive, um or urad: the difference between arriving from below and from above.
+    #[serde(default)]
+    pub backlash: f64,
+    /// Half-width of the encoder's error at each arrival, um or urad: what it says, not where it stands.
+    #[serde(default)]
+    pub encoder_error: f64,
+}
+
+/// The stage.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StageConfig {
+    /// Maker and model, for people.
+    pub name: String,
+    /// The axes it has.
+    pub axes: Vec<AxisConfig>,
+    /// Which side moves.
+    pub kinematics: Kinematics,
+    /// What positive z does.
+    pub positive_z: PositiveZ,
+    /// Whether all axes share the same legs, as in a hexapod: then every move scatters all of them.
+    pub parallel: bool,
+    /// Time to reach full speed, s.
+    pub ramp_s: f64,
+    /// Time between the end of travel and settled, s.
+    pub settle_s: f64,
+    /// Amplitude of the shaking while moving and, decaying, while settling, um.
+    pub vibration_um: f64,
+    /// Amplitude of the building's shaking, always there, um.
+    pub ambient_um: f64,
+    /// Thermal drift of x, y, z, um/s.
+    pub drift_um_per_s: [f64; 3],
+}
+
+impl Default for StageConfig {
+    fn default() -> Self {
+        Self::hexapod()
+    }
+}
+
+impl StageConfig {
+    /// The paper's PI H-811 hexapod, carrying the microscope.
+    pub fn hexapod() -> Self {
+        let axis = |axis, travel: f64, speed, repeatability| AxisConfig {
+            axis,
+            travel: [-travel, travel],
+            speed,
+            repeatability,
+            backlash: 0.0,
+            encoder_error: 0.0,
+        };
+        Self {
+            name: "simulated PI H-811 hexapod".into(),
+            axes: vec![
+                axis(Axis::X, 17.0, 10.0, 0.15),
+                axis(Axis::Y, 16.0, 10.0, 0.15),
+                axis(Axis::Z, 6.5, 10.0, 0.06),
+                axis(Axis::Rx, 10.0, 10.0, 2.0),
+                axis(Axis::Ry, 10.0, 10.0, 2.0),
+                axis(Axis::Rz, 21.0, 10.0, 3.0),
+            ],
+            kinematics: Kinematics::MovesMicroscope,
+            positive_z: PositiveZ::Closer,
+            parallel: true,
+            ramp_s: 0.02,
+            settle_s: 0.1,
+            vibration_um: 0.5,
+            ambient_um: 0.02,
+            drift_um_per_s: [0.004, -0.003, 0.005],
+        }
+    }
+
+    /// A motorised microscope stage with a turning plate: the specimen rides on the rotation, which rides on x and y.
+    pub fn xyz_theta() -> Self {
+        let mut stage = Self::xyz();
+        stage.name = "simulated xyz stage with turntable".into();
+        stage.kinematics = Kinematics::SpecimenRotationOnTop;
+        stage.axes.push(AxisConfig {
+            axis: Axis::Rz,
+            travel: [-180.0, 180.0],
+            speed: 10.0,
+            repeatability: 20.0,
+            backlash: 50.0,
+            encoder_error: 0.0,
+        });
+        stage
+    }
+
+    /// A motorised microscope stage with a focus drive, without rotation.
+    pub fn xyz() -> Self {
+        let mut stage = Self::xy();
+        stage.name = "simulated xyz stage".into();
+        stage.axes.push(AxisConfig {
+            axis: Axis::Z,
+            travel: [-5.0, 5.0],
+            speed: 2.0,
+            repeatability: 0.1,
+            backlash: 0.2,
+            encoder_error: 0.0,
+        });
+        stage
+    }
+
+    /// Two axes and nothing else: somebody focuses by hand.
+    pub fn xy() -> Self {
+        let axis = |axis, travel: f64| AxisConfig {
+            axis,
+            travel: [-travel, travel],
+            speed: 10.0,
+            repeatability: 0.3,
+            backlash: 0.6,
+            encoder_error: 0.05,
+        };
+        Self {
+            name: "simulated xy stage".into(),
+            axes: vec![axis(Axis::X, 57.0), axis(Axis::Y, 37.0)],
+            kinematics: Kinematics::SpecimenXyOnTop,
+            parallel: false,
+            ..Self::hexapod()
+        }
+    }
+
+    /// The same stage without scatter, play, encoder error, shaking and drift.
+    #[must_use]
+    pub fn exact(mut self) -> Self {
+        for axis in &mut self.axes {
+            axis.repeatability = 0.0;
+            axis.backlash = 0.0;
+            axis.encoder_error = 0.0;
+        }
+        self.vibration_um = 0.0;
+        self.ambient_um = 0.0;
+        self.drift_um_per_s = [0.0; 3];
+        self
+    }
+
+    pub(crate) fn check(&self) -> Result<(), TwinError> {
+        for (i, a) in self.axes.iter().enumerate() {
+            require(
+                self.axes[..i].iter().all(|b| b.axis != a.axis),
+                &format!("stage: {} is listed twice", a.axis),
+            )?;
+            require(
+                finite(&a.travel) && a.travel[0] < a.travel[1] && positive(&[a.speed]),
+                &format!("stage {}: travel must rise and speed be above 0", a.axis),
+            )?;
+            require(
+                not_negative(&[a.repeatability, a.backlash, a.encoder_error]),
+                &format!(
+                    "stage {}: repeatability, backlash and encoder_error must not be negative",
+                    a.axis
+                ),
+            )?;
+        }
+        require(
+            not_negative(&[
+                self.ramp_s,
+                self.settle_s,
+                self.vibration_um,
+                self.ambient_um,
+            ]) && finite(&self.drift_um_per_s),
+            "stage: times and amplitudes must be finite and not negative",
+        )
+    }
+
+    pub(crate) fn info(&self) -> StageInfo {
+        StageInfo {
+            name: self.name.clone(),
+            axes: self
+                .axes
+                .iter()
+                .map(|a| AxisInfo {
+                    axis: a.axis,
+                    min: a.travel[0] * coarse_si(a.axis),
+                    max: a.travel[1] * coarse_si(a.axis),
+                    // What a data sheet calls repeatability holds the play and the encoder, too.
+                    repeatability: (a.repeatability + 0.5 * a.backlash + a.encoder_error) * 1e-6,
+                })
+                .collect(),
+            kinematics: self.kinematics,
+            positive_z: self.positive_z,
+        }
+    }
+
+    pub(crate) fn has(&self, axis: Axis) -> bool {
+        self.axes.iter().any(|a| a.axis == axis)
+    }
+}
+
+/// mm or deg in SI.
+fn coarse_si(axis: Axis) -> f64 {
+    if axis.is_rotation() {
+        1f64.to_radians()
+    } else {
+        1e-3
+    }
+}
+
+pub(crate) fn index(axis: Axis) -> usize {
+    axis as usize
+}
+
+/// A stretch of time in which one rule tells where the stage is.
+#[derive(Debug, Clone)]
+struct Segment {
+    start: f64,
+    /// End of travel; `start` for a stage at rest.
+    arrive: f64,
+    settled: f64,
+    /// Time to full speed, s.
+    ramp: f64,
+    /// Commanded places.
+    from: Six,
+    to: Six,
+    /// True minus commanded.
+    from_error: Six,
+    to_error: Six,
+    /// Reported minus commanded, at rest.
+    encoder: Six,
+    phase: [f64; 3],
+    ended: Motion,
+}
+
+impl Segment {
+    fn share(&self, t: f64) -> f64 {
+        let whole = self.arrive - self.start;
+        if t >= self.arrive || whole <= 0.0 {
+            return 1.0;
+        }
+        trapezoid((t - self.start).max(0.0), whole, self.ramp.min(0.5 * whole))
+    }
+    fn commanded(&self, t: f64) -> Six {
+        let s = self.share(t);
+        // At the end exactly the goal, not a rounding of it.
+        std::array::from_fn(|i| {
+            if s >= 1.0 {
+                self.to[i]
+            } else {
+                self.from[i] + s * (self.to[i] - self.from[i])
+            }
+        })
+    }
+    fn error(&self, t: f64) -> Six {
+        let s = self.share(t);
+        std::array::from_fn(|i| self.from_error[i] + s * (self.to_error[i] - self.from_error[i]))
+    }
+}
+
+/// Share of the way after `t` of `whole` seconds with constant acceleration during `ramp` at either end.
+fn trapezoid(t: f64, whole: f64, ramp: f64) -> f64 {
+    if ramp <= 0.0 {
+        return t / whole;
+    }
+    let top = 1.0 / (whole - ramp);
+    if t < ramp {
+        0.5 * top * t * t / ramp
+    } else if t <= whole - ramp {
+        top * (t - 0.5 * ramp)
+    } else {
+        let left = whole - t;
+        1.0 - 0.5 * top * left * left / ramp
+    }
+}
+
+/// Longest history kept, s: longer than any exposure with its delays.
+const HISTORY_S: f64 = 30.0;
+
+/// The stage, as far as the laws of motion go.
+pub(crate) struct StageState {
+    config: StageConfig,
+    segments: Vec<Segment>,
+    rng: Pcg64Mcg,
+    /// -1 or +1: where each axis last came from.
+    direction: Six,
+    backlash: Six,
+    lost: Six,
+    stuck: [Option<f64>; 6],
+    drift_rate: [f64; 3],
+    drift_before: [f64; 3],
+    drift_since: f64,
+}
+
+impl StageState {
+    pub(crate) fn new(config: StageConfig, seed: u64, now: f64) -> Self {
+        let mut here = [0.0; 6];
+        let mut backlash = [0.0; 6];
+        for a in &config.axes {
+            here[index(a.axis)] = 0.5 * (a.travel[0] + a.travel[1]) * coarse_si(a.axis);
+            backlash[index(a.axis)] = a.backlash * 1e-6;
+        }
+        let drift_rate = config.drift_um_per_s.map(|v| v * 1e-6);
+        let mut stage = Self {
+            config,
+            segments: Vec::new(),
+            rng: seeds::rng(seed, seeds::STAGE, 0),
+            direction: [1.0; 6],
+            backlash,
+            lost: [0.0; 6],
+            stuck: [None; 6],
+            drift_rate,
+            drift_before: [0.0; 3],
+            drift_since: now,
+        };
+        let error = stage.draw_error(&[0.0; 6], &[true; 6]);
+        stage.segments.push(Segment {
+            start: now,
+            arrive: now,
+            settled: now,
+            ramp: 0.0,
+            from: here,
+            to: here,
+            from_error: error,
+            to_error: error,
+            encoder: [0.0; 6],
+            phase: [0.0; 3],
+            ended: Motion::Settled,
+        });
+        stage
+    }
+
+    /// True minus commanded after an arrival of the axes that `moved`.
+    fn draw_error(&mut self, before: &Six, moved: &[bool; 6]) -> Six {
+        let mut error = *before;
+        for a in &self.config.axes {
+            let i = index(a.axis);
+            let drawn: f64 = self.rng.random_range(-1.0..1.0);
+            if moved[i] {
+                error[i] =
+                    a.repeatability * 1e-6 * drawn - 0.5 * self.direction[i] * self.backlash[i];
+            }
+        }
+        error
+    }
+
+    fn draw_encoder(&mut self, before: &Six, moved: &[bool; 6]) -> Six {
+        let mut encoder = *before;
+        for a in &self.config.axes {
+            let drawn: f64 = self.rng.random_range(-1.0..1.0);
+            if moved[index(a.axis)] {
+                encoder[index(a.axis)] = a.encoder_error * 1e-6 * drawn;
+            }
+        }
+        encoder
+    }
+
+    fn last(&self) -> &Segment {
+        // There is always one: the start.
+        &self.segments[self.segments.len() - 1]
+    }
+
+    fn at(&self, t: f64) -> &Segment {
+        self.segments
+            .iter()
+            .rev()
+            .find(|s| s.start <= t)
+            .unwrap_or(&self.segments[0])
+    }
+
+    pub(crate) fn motion(&self, now: f64) -> Motion {
+        let last = self.last();
+        if now < last.settled {
+            Motion::Moving
+        } else {
+            last.ended
+        }
+    }
+
+    /// What the stage says.
+    pub(crate) fn reported(&self, now: f64) -> StagePose {
+        let last = self.last();
+        let commanded = last.commanded(now);
+        let mut pose = StagePose::default();
+        for a in &self.config.axes {
+            let i = index(a.axis);
+            pose = pose.with_si(a.axis, commanded[i] + last.encoder[i]);
+        }
+        pose
+    }
+
+    /// Where the stage really is. Missing axes are zero.
+    pub(crate) fn truth(&self, t: f64) -> Six {
+        let segment = self.at(t);
+        let (commanded, error) = (segment.commanded(t), segment.error(t));
+        let shake = self.shake(segment, t);
+        let mut pose = [0.0; 6];
+        for i in 0..6 {
+            pose[i] = self.stuck[i].unwrap_or(commanded[i] + error[i] + self.lost[i]);
+        }
+        for i in 0..3 {
+            pose[i] +=
+                shake[i] + self.drift_before[i] + self.drift_rate[i] * (t - self.drift_since);
+        }
+        pose
+    }
+
+    fn shake(&self, segment: &Segment, t: f64) -> [f64; 3] {
+        let ambient = self.config.ambient_um * 1e-6;
+        let mut shake = [
+            ambient * (TAU * 23.0 * t).sin(),
+            ambient * (TAU * 31.0 * t + 1.0).sin(),
+            0.5 * ambient * (TAU * 17.0 * t + 2.0).sin(),
+        ];
+        // A quarter of the settling time takes the ringing to 2 % when the stage calls itself settled.
+        let tau = 0.25 * self.config.settle_s;
+        let ring = if segment.settled <= segment.start {
+            0.0
+        } else if t < segment.arrive {
+            1.0
+        } else if tau > 0.0 {
+            (-(t - segment.arrive) / tau).exp()
+        } else {
+            0.0
+        };
+        let moving = ring * self.config.vibration_um * 1e-6;
+        for (i, (share, hz)) in [(1.0, 61.0), (0.8, 83.0), (0.3, 47.0)]
+            .into_iter()
+            .enumerate()
+        {
+            shake[i] += moving * share * (TAU * hz * t + segment.phase[i]).sin();
+        }
+        shake
+    }
+
+    pub(crate) fn start_move(&mut self, to: &StagePose, now: f64) -> Result<(), ScopeError> {
+        for axis in Axis::ALL {
+            let Some(asked) = to.si(axis) else { continue };
+            let Some(config) = self.config.axes.iter().find(|a| a.axis == axis) else {
+                return Err(ScopeError::NoSuchAxis { axis });
+            };
+            if !asked.is_finite() {
+                return Err(ScopeError::NotFinite { axis });
+            }
+            let [min, max] = config.travel.map(|v| v * coarse_si(axis));
+            if asked < min || asked > max {
+                return Err(ScopeError::OutsideLimits {
+                    axis,
+                    asked: axis.to_display(asked),
+                    min: axis.to_display(min),
+                    max: axis.to_display(max),
+                });
+            }
+        }
+        if self.motion(now) == Motion::Moving {
+            return Err(ScopeError::Busy { device: "stage" });
+        }
+        let (from, from_error) = (self.last().commanded(now), self.last().error(now));
+        let encoder = self.last().encoder;
+        let mut goal = from;
+        let mut moved = [false; 6];
+        let mut whole: f64 = 0.0;
+        for a in &self.config.axes {
+            let i = index(a.axis);
+            let Some(asked) = to.si(a.axis) else { continue };
+            goal[i] = asked;
+            if asked != from[i] {
+                moved[i] = true;
+                self.direction[i] = (asked - from[i]).signum();
+                whole = whole.max((asked - from[i]).abs() / (a.speed * coarse_si(a.axis)));
+            }
+        }
+        let any = moved.contains(&true);
+        let scattered = if self.config.parallel {
+            [any; 6]
+        } else {
+            moved
+        };
+        let to_error = self.draw_error(&from_error, &scattered);
+        let encoder = self.draw_encoder(&encoder, &scattered);
+        let phase = std::array::from_fn(|_| self.rng.random_range(0.0..TAU));
+        // Full speed over the whole way, plus the ramps; short ways never reach full speed.
+        let ramp = self.config.ramp_s;
+        let travel = if whole >= ramp {
+            whole + ramp
+        } else {
+            2.0 * (whole * ramp).sqrt()
+        };
+        let arrive = now + if any { travel } else { 0.0 };
+        self.push(Segment {
+            start: now,
+            arrive,
+            settled: if any {
+                arrive + self.config.settle_s
+            } else {
+                now
+            },
+            ramp,
+            from,
+            to: goal,
+            from_error,
+            to_error,
+            encoder,
+            phase,
+            ended: Motion::Settled,
+        });
+        Ok(())
+    }
+
+    pub(crate) fn stop(&mut self, now: f64) {
+        if self.motion(now) != Motion::Moving {
+            return;
+        }
+        let last = self.last();
+        let (here, error) = (last.commanded(now), last.error(now));
+        let (encoder, phase) = (last.encoder, last.phase);
+        self.push(Segment {
+            start: now,
+            arrive: now,
+            settled: now,
+            ramp: 0.0,
+            from: here,
+            to: here,
+            from_error: error,
+            to_error: error,
+            encoder,
+            phase,
+            ended: Motion::Stopped,
+        });
+    }
+
+    fn push(&mut self, segment: Segment) {
+        let old = segment.start - HISTORY_S;
+        // A segment may go once its successor began before the history.
+        while self.segments.len() > 1 && self.segments[1].start < old {
+            self.segments.remove(0);
+        }
+        self.segments.push(segment);
+    }
+
+    pub(crate) fn lose_steps(&mut self, axis: Axis, si: f64) {
+        self.lost[index(axis)] += si;
+    }
+
+    pub(crate) fn stick(&mut self, axis: Axis, stuck: bool, now: f64) {
+        let i = index(axis);
+        self.stuck[i] = None;
+        if stuck {
+            let (c, e) = (self.last().commanded(now), self.last().error(now));
+            self.stuck[i] = Some(c[i] + e[i] + self.lost[i]);
+        }
+    }
+
+    pub(crate) fn set_backlash(&mut self, axis: Axis, si: f64) {
+        self.backlash[index(axis)] = si;
+    }
+
+    pub(crate) fn set_drift(&mut self, um_per_s: [f64; 3], now: f64) {
+        for i in 0..3 {
+            self.drift_before[i] += self.drift_rate[i] * (now - self.drift_since);
+        }
+        self.drift_since = now;
+        self.drift_rate = um_per_s.map(|v| v * 1e-6);
+    }
+}
+
+#[cfg(test)]
+#[path = "stage_tests.rs"]
+mod tests;

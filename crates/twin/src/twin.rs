@@ -1,0 +1,310 @@
+//! The microscope as a whole: its state, its truth, and what may happen to it.
+
+use crate::config::Config;
+use crate::devices::{TwinCamera, TwinNosepiece, TwinStage};
+use crate::faults::StageFault;
+use crate::nosepiece::{NosepieceState, Offset, fixed_offsets};
+use crate::optics::{View, view, world_from_pixel};
+use crate::seeds;
+use crate::sensor::Sensor;
+use crate::slide::{Slide, SpecimenEvent};
+use crate::specimen::Specimen;
+use crate::stage::StageState;
+use crate::truth::{TrueCalibration, Truth};
+use rand::RngExt;
+use rand_pcg::Pcg64Mcg;
+use scopeservo_scope::{
+    Axis, Camera, CameraInfo, Clock, Nosepiece, Objective, ObjectiveId, Stage, StageInfo,
+};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+use thiserror::Error;
+
+/// Why a simulated microscope cannot be built.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum TwinError {
+    /// A setting makes no sense.
+    #[error("{what}")]
+    BadConfig {
+        /// The field and what it must be.
+        what: String,
+    },
+}
+
+/// A simulated microscope. Cheap to clone; all clones are the same microscope.
+#[derive(Clone)]
+pub struct Twin {
+    inner: Arc<Inner>,
+}
+
+/// What never changes, and the state behind its lock.
+pub(crate) struct Inner {
+    pub(crate) config: Config,
+    pub(crate) clock: Arc<dyn Clock>,
+    pub(crate) stage_info: StageInfo,
+    pub(crate) camera_info: CameraInfo,
+    pub(crate) objectives: Vec<Objective>,
+    pub(crate) sensor: Sensor,
+    offsets: Vec<Offset>,
+    start_z: f64,
+    state: Mutex<State>,
+}
+
+/// What changes.
+pub(crate) struct State {
+    pub(crate) stage: StageState,
+    pub(crate) nosepiece: NosepieceState,
+    pub(crate) slide: Slide,
+    pub(crate) specimen: Arc<dyn Specimen>,
+    pub(crate) exposure: Duration,
+    pub(crate) next_sequence: u64,
+    pub(crate) drop_frames: u32,
+    pub(crate) late_frames: u32,
+    pub(crate) late_by: Duration,
+    pub(crate) torn: bool,
+    pub(crate) truths: BTreeMap<u64, Truth>,
+    slide_rng: Pcg64Mcg,
+}
+
+impl Inner {
+    pub(crate) fn state(&self) -> MutexGuard<'_, State> {
+        // A panic elsewhere leaves plain numbers behind, none of them half written.
+        self.state.lock().unwrap_or_else(|e| e.into_inner())
+    }
+
+    pub(crate) fn now(&self) -> f64 {
+        self.clock.now().seconds()
+    }
+
+    /// What is seen at a moment, seconds.
+    pub(crate) fn view(&self, state: &State, t: f64) -> View {
+        let (objective, scatter, lit) = state.nosepiece.at(t);
+        view(
+            &self.config,
+            &state.slide,
+            &state.stage.truth(t),
+            self.start_z,
+            objective,
+            self.offset(objective, scatter),
+            lit,
+        )
+    }
+
+    fn offset(&self, objective: usize, scatter: Offset) -> Offset {
+        let fixed = self.offsets[objective];
+        Offset {
+            centre_um: [
+                fixed.centre_um[0] + scatter.centre_um[0],
+                fixed.centre_um[1] + scatter.centre_um[1],
+            ],
+            focus_um: fixed.focus_um + scatter.focus_um,
+        }
+    }
+
+    pub(crate) fn truth(&self, view: &View, sequence: Option<u64>) -> Truth {
+        Truth::new(
+            view,
+            sequence,
+            &self.config.optics[view.objective].id,
+            &self.config.stage,
+            [self.config.camera.width, self.config.camera.height],
+        )
+    }
+}
+
+impl Twin {
+    /// Builds the microscope over a specimen. Parcentric and parfocal offsets, dust and all noise come from the seed.
+    ///
+    /// # Errors
+    /// [`TwinError::BadConfig`], as [`Config::check`].
+    pub fn new(
+        config: Config,
+        specimen: Arc<dyn Specimen>,
+        seed: u64,
+        clock: Arc<dyn Clock>,
+    ) -> Result<Self, TwinError> {
+        config.check()?;
+        let now = clock.now().seconds();
+        let camera = &config.camera;
+        let mut nosepiece = config.nosepiece.clone();
+        if !config.stage.has(Axis::Z) {
+            nosepiece.parfocal_um = 0.0;
+            nosepiece.focus_repeatability_um = 0.0;
+        }
+        let stage = StageState::new(config.stage.clone(), seed, now);
+        // Focus heights count from the middle of the travel, where the stage starts.
+        let start_z = config
+            .stage
+            .info()
+            .axis(Axis::Z)
+            .map_or(0.0, |z| 0.5 * (z.min + z.max));
+        let ms = |v: f64| Duration::from_secs_f64(v * 1e-3);
+        let inner = Inner {
+            stage_info: config.stage.info(),
+            camera_info: CameraInfo {
+                name: "simulated camera".into(),
+                width: camera.width,
+                height: camera.height,
+                channels: camera.channels,
+                bit_depth: camera.bit_depth,
+                min_exposure: ms(camera.exposure_range_ms[0]),
+                max_exposure: ms(camera.exposure_range_ms[1]),
+            },
+            objectives: config
+                .optics
+                .iter()
+                .map(|o| Objective {
+                    id: o.id.clone(),
+                    magnification: o.magnification,
+                    numerical_aperture: o.numerical_aperture,
+                    nominal_um_per_px: o.nominal_um_per_px,
+                })
+                .collect(),
+            sensor: Sensor::new(camera, seed),
+            offsets: fixed_offsets(&nosepiece, config.optics.len(), seed),
+            start_z,
+            state: Mutex::new(State {
+                stage,
+                nosepiece: NosepieceState::new(nosepiece, seed, now),
+                slide: Slide::new(&config.slide),
+                specimen,
+                exposure: ms(camera.exposure_ms),
+                next_sequence: 0,
+                drop_frames: 0,
+                late_frames: 0,
+                late_by: Duration::ZERO,
+                torn: false,
+                truths: BTreeMap::new(),
+                slide_rng: seeds::rng(seed, seeds::SLIDE, 0),
+            }),
+            config,
+            clock,
+        };
+        let twin = Self {
+            inner: Arc::new(inner),
+        };
+        twin.centre_specimen([0.0; 2], 0.0);
+        Ok(twin)
+    }
+
+    /// The stage.
+    pub fn stage(&self) -> Box<dyn Stage> {
+        Box::new(TwinStage(self.inner.clone()))
+    }
+
+    /// The camera.
+    pub fn camera(&self) -> Box<dyn Camera> {
+        Box::new(TwinCamera(self.inner.clone()))
+    }
+
+    /// The nosepiece.
+    pub fn nosepiece(&self) -> Box<dyn Nosepiece> {
+        Box::new(TwinNosepiece(self.inner.clone()))
+    }
+
+    /// The microscope's make.
+    pub fn config(&self) -> &Config {
+        &self.inner.config
+    }
+
+    /// Lays the slide, right side up, so that the present view's centre lies over `specimen_um`, the specimen turned by
+    /// `rotation_deg`.
+    pub fn centre_specimen(&self, specimen_um: [f64; 2], rotation_deg: f64) {
+        let now = self.inner.now();
+        let mut state = self.inner.state();
+        let (objective, scatter, _) = state.nosepiece.at(now);
+        let world = world_from_pixel(
+            &self.inner.config,
+            &state.stage.truth(now),
+            objective,
+            self.inner.offset(objective, scatter).centre_um,
+        );
+        let camera = &self.inner.config.camera;
+        let centre = world.apply(crate::optics::principal_point(camera.width, camera.height));
+        state
+            .slide
+            .lay(specimen_um, centre, rotation_deg.to_radians());
+    }
+
+    /// Takes the slide out and puts it back: turned by `rotation_deg` about the specimen point `about_um`, which then
+    /// lies shifted by `shift_um` in the world; `flipped` turns it over, its x axis reversed. It seats a little higher
+    /// or lower than before.
+    pub fn remount(
+        &self,
+        about_um: [f64; 2],
+        shift_um: [f64; 2],
+        rotation_deg: f64,
+        flipped: bool,
+    ) {
+        let mut state = self.inner.state();
+        let rise = self.inner.config.slide.seat_um * state.slide_rng.random_range(-1.0..1.0);
+        state
+            .slide
+            .remount(about_um, shift_um, rotation_deg.to_radians(), flipped, rise);
+    }
+
+    /// Another specimen in the same place: another slide, or blank glass.
+    pub fn replace_specimen(&self, specimen: Arc<dyn Specimen>) {
+        let mut state = self.inner.state();
+        state.specimen = specimen;
+        state.slide.effects = crate::slide::Effects::none();
+    }
+
+    /// Something happens to the specimen.
+    pub fn inject(&self, event: SpecimenEvent) {
+        self.inner.state().slide.happen(event);
+    }
+
+    /// Something breaks.
+    pub fn fault(&self, fault: StageFault) {
+        let now = self.inner.now();
+        let mut state = self.inner.state();
+        match fault {
+            StageFault::LostSteps { axis, si } => state.stage.lose_steps(axis, si),
+            StageFault::StuckAxis { axis, stuck } => state.stage.stick(axis, stuck, now),
+            StageFault::Backlash { axis, si } => state.stage.set_backlash(axis, si),
+            StageFault::Drift { um_per_s } => state.stage.set_drift(um_per_s, now),
+            StageFault::DropFrames(count) => state.drop_frames += count,
+            StageFault::LateFrames { count, delay_s } => {
+                state.late_frames = count;
+                state.late_by = Duration::try_from_secs_f64(delay_s).unwrap_or(Duration::ZERO);
+            }
+            StageFault::TornFrame => state.torn = true,
+        }
+    }
+
+    /// The truth of a grabbed frame at the middle of its exposure. Kept for every frame.
+    pub fn truth(&self, sequence: u64) -> Option<Truth> {
+        self.inner.state().truths.get(&sequence).cloned()
+    }
+
+    /// The truth of this moment.
+    pub fn truth_now(&self) -> Truth {
+        let now = self.inner.now();
+        let view = self.inner.view(&self.inner.state(), now);
+        self.inner.truth(&view, None)
+    }
+
+    /// The true calibration of an objective, without the nosepiece's scatter of the moment.
+    pub fn true_calibration(&self, objective: &ObjectiveId) -> Option<TrueCalibration> {
+        let config = &self.inner.config;
+        let i = config.optics.iter().position(|o| o.id == *objective)?;
+        let offset = self.inner.offsets[i].centre_um;
+        let (optics, mount) = (&config.optics[i], &config.mount);
+        Some(TrueCalibration {
+            kx: if mount.mirrored {
+                -optics.kx_px_per_m
+            } else {
+                optics.kx_px_per_m
+            },
+            ky: optics.ky_px_per_m,
+            phi_deg: mount.phi_deg,
+            eta_mm: [
+                mount.eta_mm[0] + offset[0] * 1e-3,
+                mount.eta_mm[1] + offset[1] * 1e-3,
+            ],
+        })
+    }
+}
