@@ -41,6 +41,8 @@ pub(super) struct Cell {
     pub(super) basophil: f32,
     /// Half axes of the nucleus; zero for none.
     pub(super) nucleus: [f32; 2],
+    /// Curvature of a spindle: how far its ends bend aside, as a share of its half length.
+    pub(super) bend: f32,
     /// Offset of the nucleus from the cell's place.
     pub(super) offset: [f32; 2],
     pub(super) hematoxylin: f32,
@@ -113,34 +115,35 @@ fn candidate(seed: u64, plan: &PlanGrid, a: i64, b: i64, k: i64) -> Option<Candi
     let u = snap((a as f64 + f64::from(dice.next())) * BIN_UM);
     let v = snap((b as f64 + f64::from(dice.next())) * BIN_UM);
     let p = plan.at(u, v);
-    if p.cleft > -2.0 || p.fat > -0.5 {
+    if p.cleft - p.crack.abs() > -2.0 || p.fat > -0.5 {
         return None;
     }
     let (kind, radius) = if p.vessel > 2.0 {
         // Some vessels are full of blood, some empty: the plan's tone at the place decides softly.
         let full = smoothstep(-0.3, 0.3, p.tone + 0.3);
         dice.chance(0.25 + 0.75 * full)
-            .then_some((Kind::RedCell, 4.3))?
+            .then_some((Kind::RedCell, 4.0))?
     } else if p.vessel > -1.0 {
         return None;
-    } else if p.lumen > 1.0 {
-        dice.chance(0.015).then_some((Kind::Lymphocyte, 6.0))?
+    } else if p.lumen > -0.5 {
+        return None;
     } else if p.depth > 1.5 {
-        let mature = smoothstep(30.0, 95.0, p.depth);
+        let mature = smoothstep(15.0, 70.0, p.depth);
         if p.gland > 0.5 {
-            // Tall cells stand on the base with their nuclei in one or two rows.
-            let basal = smoothstep(15.0, 8.0, p.depth);
-            dice.chance(0.12 + 0.88 * basal)
-                .then_some((Kind::Epithelial, 5.1))?
+            // Tall cells stand on the base with their nuclei in one or two rows; bridges and thick walls have more.
+            let basal = smoothstep(15.0, 8.0, p.depth).max(smoothstep(-9.0, -16.0, p.lumen));
+            dice.chance(0.1 + 0.9 * basal)
+                .then_some((Kind::Epithelial, 5.4))?
         } else {
-            (Kind::Epithelial, 5.3 + 3.4 * mature + 0.9 * dice.next())
+            let crowd = 0.9 * p.tone.clamp(-1.0, 1.0);
+            (Kind::Epithelial, 6.1 + 2.6 * mature - crowd + dice.next())
         }
     } else if p.depth < -1.0 {
         let lymph = p.inflamed * smoothstep(-2.0, -7.0, p.depth);
         if dice.chance(0.04 + 0.9 * lymph) {
             (Kind::Lymphocyte, 4.4 + 1.6 * dice.next())
         } else {
-            dice.chance(0.35)
+            dice.chance(0.13 + 0.1 * p.loose)
                 .then_some((Kind::Fibroblast, 8.0 + dice.next()))?
         }
     } else {
@@ -222,6 +225,7 @@ fn dress(seed: u64, plan: &PlanGrid, c: &Candidate) -> Cell {
         eosin: 1.0,
         basophil: 0.0,
         nucleus: [0.0; 2],
+        bend: 0.0,
         offset: [0.0; 2],
         hematoxylin: 0.0,
         chromatin: 0.3,
@@ -233,22 +237,22 @@ fn dress(seed: u64, plan: &PlanGrid, c: &Candidate) -> Cell {
         Kind::Epithelial if p.gland > 0.5 => {
             cell.axis = spin(plan.rise(c.u, c.v, |p| p.depth), 0.35);
             cell.stretch = d.range(1.5, 2.3);
-            let b = d.range(2.2, 3.1);
+            let b = d.range(2.0, 2.8);
             cell.nucleus = [b * d.range(1.25, 1.9), b];
             cell.hematoxylin = d.range(0.85, 1.5);
             cell.eosin = d.range(0.75, 1.15);
             cell.basophil = d.range(0.05, 0.22);
         }
         Kind::Epithelial => {
-            let mature = smoothstep(22.0, 85.0, p.depth);
+            let mature = smoothstep(15.0, 70.0, p.depth);
             let flat = plan.rise(c.u, c.v, |p| p.depth);
             cell.axis = spin(across(flat), any * (1.0 - 0.75 * mature));
-            cell.stretch = 1.0 + d.range(0.1, 0.45) + 0.5 * mature * d.next();
-            let b = d.range(2.3, 3.6) * (1.0 - 0.25 * mature);
-            cell.nucleus = [b * d.range(1.1, 1.7), b];
+            cell.stretch = 1.0 + d.range(0.1, 0.45) + 1.1 * mature * d.next();
+            let b = d.range(2.0, 3.3) * (1.0 - 0.22 * mature);
+            cell.nucleus = [b * d.range(1.05, 1.6), b];
             cell.hematoxylin = d.range(0.6, 1.35) * (1.0 - 0.2 * mature);
             cell.eosin = d.range(0.72, 1.18) * (1.0 + 0.1 * mature);
-            cell.basophil = d.range(0.06, 0.26) * (1.0 - 0.8 * mature);
+            cell.basophil = d.range(0.04, 0.22) * (1.0 - 0.85 * mature);
             if d.chance(0.03 + 0.22 * mature) {
                 cell.hole = d.range(2.4, 5.2);
                 cell.nucleus = cell.nucleus.map(|r| 0.75 * r);
@@ -260,9 +264,10 @@ fn dress(seed: u64, plan: &PlanGrid, c: &Candidate) -> Cell {
         }
         Kind::Fibroblast => {
             cell.axis = spin(across(plan.rise(c.u, c.v, |p| p.flow)), 0.5);
-            let b = d.range(0.9, 1.8);
-            cell.nucleus = [b * d.range(2.6, 5.5), b];
-            cell.hematoxylin = d.range(0.7, 1.4);
+            let b = d.range(0.9, 1.9);
+            cell.nucleus = [b * d.range(2.8, 6.0), b];
+            cell.hematoxylin = d.range(0.6, 1.3);
+            cell.bend = d.range(-0.3, 0.3);
         }
         Kind::Lymphocyte => {
             cell.axis = spin([1.0, 0.0], any);

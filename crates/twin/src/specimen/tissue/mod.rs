@@ -2,6 +2,7 @@
 //!
 //! Every sample is a pure function of the seed and its place. Rows of the world run down, so `v = -y`.
 
+mod cast;
 mod cells;
 mod noise;
 mod paint;

@@ -48,10 +48,30 @@ impl Dice {
 }
 
 /// 0 below `a`, 1 above `b`, smooth between; falling if `a > b`.
-#[inline]
+#[inline(always)]
 pub(super) fn smoothstep(a: f32, b: f32, x: f32) -> f32 {
-    let t = ((x - a) / (b - a)).clamp(0.0, 1.0);
+    // The reciprocal of constant ends is a constant; a division of every sample would not be.
+    let t = ((x - a) * (1.0 / (b - a))).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
+}
+
+/// Length of a vector of moderate size.
+#[inline(always)]
+pub(super) fn norm(x: f32, y: f32) -> f32 {
+    (x * x + y * y).sqrt()
+}
+
+/// Largest whole number not above `x`. The library's `floor` is a call on the oldest x86-64.
+#[inline(always)]
+fn floor_i64(x: f64) -> i64 {
+    let k = x as i64;
+    k - i64::from(x < k as f64)
+}
+
+#[inline(always)]
+fn floor_i32(x: f32) -> i32 {
+    let k = x as i32;
+    k - i32::from(x < k as f32)
 }
 
 #[inline]
@@ -64,9 +84,8 @@ pub(super) fn mix(a: f32, b: f32, t: f32) -> f32 {
 pub(super) fn gradient(seed: u64, wave_um: f64, u: f64, v: f64) -> f32 {
     let (sin, cos) = turn(seed);
     let (x, y) = ((u * cos - v * sin) / wave_um, (u * sin + v * cos) / wave_um);
-    let (xi, yi) = (x.floor(), y.floor());
-    let (fx, fy) = ((x - xi) as f32, (y - yi) as f32);
-    let (i, j) = (xi as i64, yi as i64);
+    let (i, j) = (floor_i64(x), floor_i64(y));
+    let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
     let corner = |di: i64, dj: i64| {
         // Sixteen directions are enough to hide the lattice.
         let h = hash(seed, i + di, j + dj);
@@ -117,10 +136,9 @@ const DIRECTIONS: [[f32; 2]; 16] = {
 /// others slowly across the plane: that draws fibres along the field's contours.
 #[inline]
 pub(super) fn strands(seed: u64, w: f32, x: f32, y: f32) -> f32 {
-    let (wf, xf, yf) = (w.floor(), x.floor(), y.floor());
+    let (k, i, j) = (floor_i32(w), floor_i32(x), floor_i32(y));
     let ease = |t: f32| t * t * (3.0 - 2.0 * t);
-    let (tw, tx, ty) = (ease(w - wf), ease(x - xf), ease(y - yf));
-    let (k, i, j) = (wf as i32, xf as i32, yf as i32);
+    let (tw, tx, ty) = (ease(w - k as f32), ease(x - i as f32), ease(y - j as f32));
     let at = |dk: i32, di: i32, dj: i32| {
         let mut h = (seed as u32)
             .wrapping_add(((k + dk) as u32).wrapping_mul(0x9E37_79B1))

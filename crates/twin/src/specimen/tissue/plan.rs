@@ -3,7 +3,7 @@
 //! Nests are the cells of a warped Voronoi diagram with some neighbours merged. Everything is smooth, so that it can be
 //! evaluated every [`PITCH`] samples and interpolated.
 
-use super::noise::{Dice, gradient, hash, smoothstep, unit};
+use super::noise::{Dice, gradient, hash, norm, smoothstep, unit};
 
 /// Samples between two evaluations of the plan: 4 um.
 pub(super) const PITCH: i64 = 16;
@@ -15,7 +15,7 @@ const STEP_UM: f64 = PITCH as f64 * SAMPLE_UM;
 const NEST_UM: f64 = 225.0;
 
 /// The tissue at one place. Lengths in micrometres.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Plan {
     /// Depth inside the epithelium; negative in the stroma.
     pub(super) depth: f32,
@@ -33,14 +33,17 @@ pub(super) struct Plan {
     pub(super) vessel: f32,
     /// Depth inside a fat cell.
     pub(super) fat: f32,
-    /// Depth inside a cleft of blank glass.
+    /// Half width of the cleft of blank glass that runs along the zeros of `crack`; negative where it is closed.
     pub(super) cleft: f32,
+    /// Distance to the middle of the cleft, with a sign so that it can be interpolated across.
+    pub(super) crack: f32,
     /// Slow variation of staining, about -1 to 1.
     pub(super) tone: f32,
 }
 
 impl Plan {
     /// Field by field between two plans.
+    #[inline(always)]
     fn mix(a: &Plan, b: &Plan, t: f32) -> Plan {
         let m = |x: f32, y: f32| x + (y - x) * t;
         Plan {
@@ -53,6 +56,7 @@ impl Plan {
             vessel: m(a.vessel, b.vessel),
             fat: m(a.fat, b.fat),
             cleft: m(a.cleft, b.cleft),
+            crack: m(a.crack, b.crack),
             tone: m(a.tone, b.tone),
         }
     }
@@ -119,7 +123,7 @@ impl PlanGrid {
         let e = 2.0;
         let gx = field(&self.at(u + e, v)) - field(&self.at(u - e, v));
         let gy = field(&self.at(u, v + e)) - field(&self.at(u, v - e));
-        let n = gx.hypot(gy);
+        let n = norm(gx, gy);
         if n < 1e-6 {
             [1.0, 0.0]
         } else {
@@ -127,8 +131,8 @@ impl PlanGrid {
         }
     }
 
-    /// One field along a row of samples, from column `i0`: linear between nodes.
-    pub(super) fn row(&self, i0: i64, j: i64, field: impl Fn(&Plan) -> f32, out: &mut [f32]) {
+    /// The plans of a row of samples from column `i0`.
+    pub(super) fn row(&self, i0: i64, j: i64, out: &mut [Plan]) {
         let (b, ty) = (
             j.div_euclid(PITCH),
             (j.rem_euclid(PITCH) as f32 + 0.5) / PITCH as f32,
@@ -136,11 +140,7 @@ impl PlanGrid {
         let line = (b - self.j0) as usize * self.columns;
         let node = |a: i64| {
             let at = line + (a - self.i0) as usize;
-            let (up, down) = (
-                field(&self.nodes[at]),
-                field(&self.nodes[at + self.columns]),
-            );
-            up + (down - up) * ty
+            Plan::mix(&self.nodes[at], &self.nodes[at + self.columns], ty)
         };
         let mut done = 0;
         while done < out.len() {
@@ -149,7 +149,7 @@ impl PlanGrid {
             let n = ((PITCH - k) as usize).min(out.len() - done);
             let (left, right) = (node(a), node(a + 1));
             for (s, o) in out[done..done + n].iter_mut().enumerate() {
-                *o = left + (right - left) * ((k as f32 + s as f32 + 0.5) / PITCH as f32);
+                *o = Plan::mix(&left, &right, (k as f32 + s as f32 + 0.5) / PITCH as f32);
             }
             done += n;
         }
@@ -173,7 +173,7 @@ fn nests(seed: u64, u: f64, v: f64) -> Plan {
             0.12 + 0.76 * unit(h.wrapping_mul(0x9E37_79B1)),
         );
         let (dx, dy) = ((x - i as f64) as f32 - px, (y - j as f64) as f32 - py);
-        *site = (NEST_UM as f32 * dx.hypot(dy), group(seed, i, j));
+        *site = (NEST_UM as f32 * norm(dx, dy), group(seed, i, j));
     }
     let nearest = sites
         .iter()
@@ -198,15 +198,17 @@ fn nests(seed: u64, u: f64, v: f64) -> Plan {
     };
 
     let mut kind = Dice::new(seed ^ 0x61A9D, i64::from(nearest.1), 3);
-    let is_gland = kind.chance(0.42);
-    let wall = kind.range(19.0, 40.0);
+    let is_gland = kind.chance(0.4);
+    let wall = kind.range(19.0, 34.0);
     let lumen = if is_gland && !stroma {
-        depth - wall - 7.0 * n(9, 48.0)
+        // Bridges of epithelium cross the wider lumens.
+        let bridge = 62.0 * (n(31, 120.0) + 0.15 * n(32, 45.0)).abs() - 9.0;
+        (depth - wall - 7.0 * n(9, 48.0)).min(bridge)
     } else {
         -60.0
     };
     let flow = 0.55 * depth + 60.0 * n(10, 170.0) + 17.0 * n(11, 55.0) + 5.0 * n(12, 23.0);
-    let crack = (n(13, 420.0) + 0.22 * n(14, 130.0) + 0.05 * n(19, 30.0)).abs() * 300.0;
+    let crack = (n(13, 420.0) + 0.22 * n(14, 130.0) + 0.05 * n(19, 30.0)) * 300.0;
     Plan {
         depth,
         lumen,
@@ -216,7 +218,8 @@ fn nests(seed: u64, u: f64, v: f64) -> Plan {
         loose: smoothstep(-0.35, 0.45, n(16, 330.0) + 0.35 * n(21, 80.0)),
         vessel: -40.0,
         fat: -40.0,
-        cleft: 60.0 * (n(17, 520.0) - 0.22) - crack,
+        cleft: 38.0 * (n(17, 520.0) - 0.24),
+        crack,
         tone: n(18, 800.0) + 0.5 * n(22, 210.0),
     }
 }
@@ -253,7 +256,7 @@ impl Disc {
         let (dx, dy) = ((u - self.u) as f32, (v - self.v) as f32);
         let along = (dx * self.axis[0] + dy * self.axis[1]) / self.stretch;
         let across = (dy * self.axis[0] - dx * self.axis[1]) * self.stretch;
-        (self.radius - along.hypot(across)).max(-40.0)
+        (self.radius - norm(along, across)).max(-40.0)
     }
 }
 
@@ -275,7 +278,7 @@ fn vessels_near(seed: u64, span: [f64; 4]) -> Vec<Disc> {
         let wanted = 6.0 + 34.0 * dice.next().powi(3);
         let here = nests(seed, u, v);
         let radius = wanted.min(0.75 * -here.depth);
-        if radius < 5.5 || here.cleft > -30.0 {
+        if radius < 5.5 || here.cleft - here.crack.abs() > -30.0 {
             continue;
         }
         let angle = dice.range(0.0, std::f32::consts::PI);

@@ -6,33 +6,49 @@
 use crate::specimen::GLASS;
 
 /// Natural optical density of one unit of stain for red, green, blue.
-const HEMATOXYLIN: [f32; 3] = [0.66, 0.80, 0.42];
+const HEMATOXYLIN: [f32; 3] = [0.62, 0.84, 0.45];
 const EOSIN: [f32; 3] = [0.085, 0.80, 0.40];
-const BLOOD: [f32; 3] = [0.05, 0.95, 0.80];
+const BLOOD: [f32; 3] = [0.06, 1.10, 0.74];
 
-/// Camera colour of a sample with these amounts of stain.
-#[inline]
-pub(super) fn colour(hematoxylin: f32, eosin: f32, blood: f32) -> [u8; 3] {
-    let mut rgb = [0; 3];
-    for c in 0..3 {
-        let density = hematoxylin * HEMATOXYLIN[c] + eosin * EOSIN[c] + blood * BLOOD[c];
-        rgb[c] = (f32::from(GLASS[c]) * exp_minus(density) + 0.5) as u8;
+/// Camera colours of a row of samples with these amounts of stain, none negative.
+pub(super) fn colour_row(hematoxylin: &[f32], eosin: &[f32], blood: &[f32], rgb: &mut [u8]) {
+    const PORTION: usize = 64;
+    let portions = hematoxylin
+        .chunks(PORTION)
+        .zip(eosin.chunks(PORTION))
+        .zip(blood.chunks(PORTION));
+    for (((h, e), b), out) in portions.zip(rgb.chunks_mut(3 * PORTION)) {
+        for c in 0..3 {
+            let (kh, ke, kb, glass) = (HEMATOXYLIN[c], EOSIN[c], BLOOD[c], f32::from(GLASS[c]));
+            // Channel by channel and apart from the strided bytes, so that several samples are computed at once.
+            let mut grey = [0_u32; PORTION];
+            for (g, ((&h, &e), &b)) in grey.iter_mut().zip(h.iter().zip(e).zip(b)) {
+                *g = (glass * exp_minus(h * kh + e * ke + b * kb) + ROUND).to_bits();
+            }
+            for (o, &g) in out[c..].iter_mut().step_by(3).zip(&grey) {
+                // The low byte: transmissions are 0..=255.
+                *o = g as u8;
+            }
+        }
     }
-    rgb
 }
 
-/// `exp(-x)` for x >= 0 to 1e-4, in arithmetic that is the same everywhere and runs several at once.
-#[inline]
+/// Adding this to a small number leaves the nearest whole number in the low bits. Unlike a checked conversion it can be
+/// done several at once on any x86-64.
+const ROUND: f32 = 12_582_912.0;
+
+/// `exp(-x)` for x >= 0 to 1e-5, in plain arithmetic.
+#[inline(always)]
 fn exp_minus(x: f32) -> f32 {
-    let t = (x * std::f32::consts::LOG2_E).clamp(0.0, 60.0);
-    let whole = t as i32;
-    let f = whole as f32 - t;
-    // 2^f on -1..0: its Taylor polynomial.
+    let t = (x * std::f32::consts::LOG2_E).min(60.0);
+    let rounded = t + ROUND;
+    let f = (rounded - ROUND) - t;
+    let whole = rounded.to_bits() - ROUND.to_bits();
+    // 2^f on -1/2..1/2 by its Taylor polynomial.
     let p = 1.0
         + f * (std::f32::consts::LN_2
-            + f * (0.240_227
-                + f * (0.055_504 + f * (0.009_618 + f * (0.001_333 + f * 0.000_154)))));
-    p * f32::from_bits(((127 - whole) as u32) << 23)
+            + f * (0.240_226_5 + f * (0.055_504_1 + f * (0.009_618_1 + f * 0.001_333_4))));
+    p * f32::from_bits((127 - whole) << 23)
 }
 
 #[cfg(test)]
@@ -43,16 +59,18 @@ mod tests {
     fn exp_minus_is_the_exponential() {
         for k in 0..2000 {
             let x = k as f32 * 0.01;
-            assert!((exp_minus(x) - (-x).exp()).abs() < 1e-4, "{x}");
+            assert!((exp_minus(x) - (-x).exp()).abs() < 1e-5, "{x}");
         }
     }
 
     #[test]
     fn no_stain_is_glass_and_eosin_is_pink_and_hematoxylin_violet() {
-        assert_eq!(colour(0.0, 0.0, 0.0), GLASS);
-        let [r, g, b] = colour(0.0, 1.0, 0.0);
+        let mut rgb = [0; 9];
+        colour_row(&[0.0, 0.0, 1.2], &[0.0, 1.0, 0.3], &[0.0; 3], &mut rgb);
+        assert_eq!(rgb[..3], GLASS);
+        let [r, g, b] = [rgb[3], rgb[4], rgb[5]];
         assert!(r > b && b > g);
-        let [r, g, b] = colour(1.2, 0.3, 0.0);
+        let [r, g, b] = [rgb[6], rgb[7], rgb[8]];
         assert!(b > r && r > g);
     }
 }
