@@ -73,10 +73,10 @@ impl Source for Slide {
         Ok(tile.data)
     }
 
-    fn is_blank(&self, level: usize, tx: i64, ty: i64) -> bool {
+    fn is_blank(&self, column: i64, row: i64, side: i64) -> bool {
         let full = self.levels()[0];
-        let side = (TILE as i64) << level;
-        tx < 0 || ty < 0 || tx * side >= full.width.into() || ty * side >= full.height.into()
+        let beside = |from: i64, n: u32| from + side <= 0 || from >= n.into();
+        beside(column, full.width) || beside(row, full.height)
     }
 }
 

@@ -7,10 +7,11 @@ use scopeservo_slide::cache::Lru;
 
 use super::{GLASS, MAX_PATCH_SAMPLES, Patch, SpecimenError};
 
-/// Samples along a tile's side.
+/// Samples along the side of a tile of level 0, as a source makes it.
 pub(super) const TILE: usize = 256;
-/// Bytes of a tile.
-const TILE_BYTES: usize = 3 * TILE * TILE;
+/// Samples along the side of a coarser tile: level 1 halves one tile of level 0, higher ones join four of the level
+/// below. Small, because the finest samples of a coarse tile are all made, wanted or not.
+const COARSE_TILE: usize = TILE / 2;
 /// Tiles kept per specimen, bytes.
 const CACHE_BYTES: usize = 200 << 20;
 
@@ -99,8 +100,8 @@ pub(super) trait Source: Sync {
     /// The finest samples of tile column `tx`, row `ty`.
     fn finest(&self, tx: i64, ty: i64) -> Result<Vec<u8>, SpecimenError>;
 
-    /// True if a tile of `level` is known to be blank glass without looking.
-    fn is_blank(&self, level: usize, tx: i64, ty: i64) -> bool;
+    /// True if the finest samples from these columns and rows on are known to be blank glass without looking.
+    fn is_blank(&self, column: i64, row: i64, side: i64) -> bool;
 }
 
 /// Tiles of all levels of one source. What is kept depends on what was asked; what is returned does not.
@@ -120,7 +121,8 @@ impl Pyramid {
 
     /// The samples of a window. Missing tiles are made in parallel.
     pub(super) fn read(&self, source: &impl Source, w: &Window) -> Result<Vec<u8>, SpecimenError> {
-        let t = TILE as i64;
+        let side = side_of(w.level);
+        let t = side as i64;
         let columns = w.column.div_euclid(t)..=(w.column + w.width as i64 - 1).div_euclid(t);
         let rows = w.row.div_euclid(t)..=(w.row + w.height as i64 - 1).div_euclid(t);
         let places: Vec<(i64, i64)> = rows
@@ -136,11 +138,10 @@ impl Pyramid {
             for (&(tx, ty), tile) in portion.iter().zip(&tiles) {
                 copy_overlap(
                     tile,
-                    tx * t - w.column,
-                    ty * t - w.row,
+                    side,
+                    [tx * t - w.column, ty * t - w.row],
                     &mut rgb,
-                    w.width,
-                    w.height,
+                    [w.width, w.height],
                 );
             }
         }
@@ -154,38 +155,48 @@ impl Pyramid {
         tx: i64,
         ty: i64,
     ) -> Result<Arc<Vec<u8>>, SpecimenError> {
-        if source.is_blank(level, tx, ty) {
+        let finest = (side_of(level) as i64) << level;
+        if source.is_blank(tx * finest, ty * finest, finest) {
             return Ok(Arc::clone(&self.blank));
         }
         let key = (level, tx, ty);
         if let Some(tile) = self.tiles.get(&key) {
             return Ok(tile);
         }
-        let made = if level == 0 {
-            source.finest(tx, ty)?
-        } else {
-            let finer: Vec<Arc<Vec<u8>>> = (0..4_i64)
-                .into_par_iter()
-                .map(|q| self.tile(source, level - 1, 2 * tx + q % 2, 2 * ty + q / 2))
-                .collect::<Result<_, _>>()?;
-            let mut out = vec![0; TILE_BYTES];
-            for (q, tile) in finer.iter().enumerate() {
-                halve_into(tile, &mut out, (q % 2) * TILE / 2, (q / 2) * TILE / 2);
+        let mut coarse = Vec::new();
+        match level {
+            0 => coarse = source.finest(tx, ty)?,
+            1 => {
+                coarse.resize(3 * COARSE_TILE * COARSE_TILE, 0);
+                halve_into(&self.tile(source, 0, tx, ty)?, TILE, &mut coarse, [0, 0]);
             }
-            out
-        };
-        let made = Arc::new(made);
-        self.tiles.put(key, Arc::clone(&made), TILE_BYTES);
+            _ => {
+                let finer: Vec<Arc<Vec<u8>>> = (0..4_i64)
+                    .into_par_iter()
+                    .map(|q| self.tile(source, level - 1, 2 * tx + q % 2, 2 * ty + q / 2))
+                    .collect::<Result<_, _>>()?;
+                coarse.resize(3 * COARSE_TILE * COARSE_TILE, 0);
+                let half = COARSE_TILE / 2;
+                for (q, tile) in finer.iter().enumerate() {
+                    halve_into(tile, COARSE_TILE, &mut coarse, [q % 2 * half, q / 2 * half]);
+                }
+            }
+        }
+        let made = Arc::new(coarse);
+        self.tiles.put(key, Arc::clone(&made), made.len());
         Ok(made)
     }
 }
 
-/// Rounded means of 2 x 2 samples of a tile, written from column `x`, row `y` of the coarser tile.
-fn halve_into(fine: &[u8], coarse: &mut [u8], x: usize, y: usize) {
-    const ROW: usize = 3 * TILE;
-    for j in 0..TILE / 2 {
-        let (upper, lower) = fine[2 * j * ROW..][..2 * ROW].split_at(ROW);
-        let to = &mut coarse[(y + j) * ROW + 3 * x..][..ROW / 2];
+fn side_of(level: usize) -> usize {
+    if level == 0 { TILE } else { COARSE_TILE }
+}
+
+/// Rounded means of 2 x 2 samples of a tile of `side`, written from column `x`, row `y` of a coarse tile.
+fn halve_into(fine: &[u8], side: usize, coarse: &mut [u8], [x, y]: [usize; 2]) {
+    for j in 0..side / 2 {
+        let (upper, lower) = fine[6 * j * side..][..6 * side].split_at(3 * side);
+        let to = &mut coarse[3 * ((y + j) * COARSE_TILE + x)..][..3 * side / 2];
         let pairs = upper
             .as_chunks::<6>()
             .0
@@ -203,15 +214,24 @@ fn halve_into(fine: &[u8], coarse: &mut [u8], x: usize, y: usize) {
     }
 }
 
-/// Copies the part of a tile that falls into a `width` x `height` picture when its first sample lies at (x, y).
-fn copy_overlap(tile: &[u8], x: i64, y: i64, rgb: &mut [u8], width: usize, height: usize) {
-    let x0 = x.max(0) as usize;
-    let x1 = (x + TILE as i64).min(width as i64) as usize;
-    let y0 = y.max(0) as usize;
-    let y1 = (y + TILE as i64).min(height as i64) as usize;
+/// Copies the part of a tile of `side` that falls into a picture when its first sample lies at (x, y).
+fn copy_overlap(
+    tile: &[u8],
+    side: usize,
+    [x, y]: [i64; 2],
+    rgb: &mut [u8],
+    [width, height]: [usize; 2],
+) {
+    let clip = |from: i64, n: usize| {
+        (
+            from.max(0) as usize,
+            (from + side as i64).min(n as i64) as usize,
+        )
+    };
+    let ((x0, x1), (y0, y1)) = (clip(x, width), clip(y, height));
     let n = 3 * (x1 - x0);
     for row in y0..y1 {
-        let from = 3 * ((row as i64 - y) as usize * TILE + (x0 as i64 - x) as usize);
+        let from = 3 * ((row as i64 - y) as usize * side + (x0 as i64 - x) as usize);
         let to = 3 * (row * width + x0);
         rgb[to..to + n].copy_from_slice(&tile[from..from + n]);
     }

@@ -189,7 +189,7 @@ fn cast_nucleus(
             }
             let cover = smoothstep(1.0 + soft, 1.0 - soft, e);
             let rim = smoothstep(0.6, 0.92, e);
-            let chromatin = cell.chromatin * (0.55 * grain[at] + 0.5 * clump[at]);
+            let chromatin = cell.chromatin * (0.7 * grain[at] + 0.4 * clump[at]);
             let [nx, ny, nr] = cell.nucleolus;
             let spot = if nr > 0.0 {
                 smoothstep(nr + 0.3, nr - 0.3, norm(x - nx, y - ny))

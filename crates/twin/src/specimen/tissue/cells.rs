@@ -15,7 +15,9 @@ const MAX_RADIUS_UM: f64 = 9.0;
 /// How far a cell paints, micrometres.
 pub(super) const REACH_UM: f64 = 15.0;
 /// How far the plan must be known around a window: a cell's reach and three steps of the thinning.
-pub(super) const MARGIN_UM: f64 = REACH_UM + 3.0 * MAX_RADIUS_UM + BIN_UM + 4.0;
+pub(super) const MARGIN_UM: f64 = THINNING_UM + 4.0;
+/// How far candidates matter.
+const THINNING_UM: f64 = REACH_UM + 3.0 * MAX_RADIUS_UM;
 
 /// What a cell is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,7 +82,7 @@ pub(super) fn cells_near(
 ) -> Vec<Cell> {
     let (u0, v0) = (i0 as f64 * SAMPLE_UM, j0 as f64 * SAMPLE_UM);
     let (u1, v1) = (u0 + w as f64 * SAMPLE_UM, v0 + h as f64 * SAMPLE_UM);
-    let m = REACH_UM + 3.0 * MAX_RADIUS_UM;
+    let m = THINNING_UM;
     let bin = |x: f64| (x / BIN_UM).floor() as i64;
     let (a0, a1, b0, b1) = (bin(u0 - m), bin(u1 + m), bin(v0 - m), bin(v1 + m));
     let across = (a1 - a0 + 1) as usize;
@@ -88,7 +90,7 @@ pub(super) fn cells_near(
         .flat_map(|b| (a0..=a1).map(move |a| (a, b)))
         .map(|(a, b)| {
             (0..PER_BIN)
-                .filter_map(|k| candidate(seed, plan, a, b, k))
+                .filter_map(|k| candidate(seed, plan, [u0 - m, u1 + m, v0 - m, v1 + m], [a, b, k]))
                 .collect()
         })
         .collect();
@@ -109,11 +111,15 @@ pub(super) fn cells_near(
         .collect()
 }
 
-fn candidate(seed: u64, plan: &PlanGrid, a: i64, b: i64, k: i64) -> Option<Candidate> {
+/// Candidate `k` of bin `a`, `b`, if it lies in the span and its place can hold a cell.
+fn candidate(seed: u64, plan: &PlanGrid, span: [f64; 4], [a, b, k]: [i64; 3]) -> Option<Candidate> {
     let mut dice = Dice::new(seed ^ 0xCE11, a, PER_BIN * b + k);
     let snap = |x: f64| (x * 256.0).round() / 256.0;
     let u = snap((a as f64 + f64::from(dice.next())) * BIN_UM);
     let v = snap((b as f64 + f64::from(dice.next())) * BIN_UM);
+    if u < span[0] || u > span[1] || v < span[2] || v > span[3] {
+        return None;
+    }
     let p = plan.at(u, v);
     if p.cleft - p.crack.abs() > -2.0 || p.fat > -0.5 {
         return None;
@@ -123,9 +129,7 @@ fn candidate(seed: u64, plan: &PlanGrid, a: i64, b: i64, k: i64) -> Option<Candi
         let full = smoothstep(-0.3, 0.3, p.tone + 0.3);
         dice.chance(0.25 + 0.75 * full)
             .then_some((Kind::RedCell, 4.0))?
-    } else if p.vessel > -1.0 {
-        return None;
-    } else if p.lumen > -0.5 {
+    } else if p.vessel > -1.0 || p.lumen > -0.5 {
         return None;
     } else if p.depth > 1.5 {
         let mature = smoothstep(15.0, 70.0, p.depth);
@@ -154,7 +158,7 @@ fn candidate(seed: u64, plan: &PlanGrid, a: i64, b: i64, k: i64) -> Option<Candi
         v,
         rank: hash(seed ^ 0x4A4B, a, PER_BIN * b + k),
         kind,
-        radius,
+        radius: radius.min(MAX_RADIUS_UM as f32),
         state: State::Waiting,
     })
 }
@@ -284,7 +288,7 @@ fn dress(seed: u64, plan: &PlanGrid, c: &Candidate) -> Cell {
             cell.hole = d.range(2.6, 3.3);
         }
     }
-    cell.chromatin = d.range(0.2, 0.75);
+    cell.chromatin = d.range(0.3, 0.95);
     cell.rim = d.range(0.05, 0.6);
     if matches!(cell.kind, Kind::Epithelial) && d.chance(0.55) {
         let (x, y) = (d.range(-0.45, 0.45), d.range(-0.45, 0.45));

@@ -48,7 +48,7 @@ impl Source for Made {
         Ok(paint::window(self.0, [tx * t, ty * t], [TILE, TILE]))
     }
 
-    fn is_blank(&self, _level: usize, _tx: i64, _ty: i64) -> bool {
+    fn is_blank(&self, _column: i64, _row: i64, _side: i64) -> bool {
         false
     }
 }
