@@ -1,7 +1,7 @@
 //! What the simulated microscope is made of. Every default is the paper's instrument, never a clean one.
 
 use crate::TwinError;
-use crate::stage::StageConfig;
+use crate::stage_config::StageConfig;
 use scopeservo_scope::{Channels, Kinematics, ObjectiveId};
 use serde::{Deserialize, Serialize};
 

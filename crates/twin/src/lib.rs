@@ -31,6 +31,7 @@ mod sensor;
 mod slide;
 pub mod specimen;
 mod stage;
+mod stage_config;
 mod truth;
 mod twin;
 
@@ -40,6 +41,6 @@ pub use config::{
 pub use faults::StageFault;
 pub use slide::SpecimenEvent;
 pub use specimen::{Blank, FileSpecimen, Patch, Specimen, SpecimenError, Tissue};
-pub use stage::{AxisConfig, StageConfig};
+pub use stage_config::{AxisConfig, StageConfig};
 pub use truth::{TrueCalibration, Truth};
 pub use twin::{Twin, TwinError};

@@ -4,7 +4,6 @@ use crate::config::{CameraConfig, ObjectiveConfig};
 use crate::render::Planes;
 use crate::seeds;
 use rand::RngExt;
-use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use scopeservo_scope::{Channels, Samples};
 
@@ -15,6 +14,7 @@ pub(crate) struct Sensor {
     /// Light that passes the dust, per pixel.
     window: Vec<f32>,
     dead: Vec<Dead>,
+    normal: Vec<f32>,
 }
 
 struct Dead {
@@ -55,6 +55,7 @@ impl Sensor {
             seed,
             window,
             dead,
+            normal: normal_table(),
         }
     }
 
@@ -119,30 +120,53 @@ impl Sensor {
         let read_sq = (config.read_noise_e * config.read_noise_e) as f32;
         let shot = f32::from(u8::from(config.shot_noise));
         let channels = config.channels.count();
-        for x in 0..w {
-            let i = y * w + x;
+        let rows: [&[f32]; 3] = std::array::from_fn(|c| &light[c][y * w..(y + 1) * w]);
+        let window = &self.window[y * w..(y + 1) * w];
+        for (x, out) in row.chunks_exact_mut(channels).enumerate() {
             let u = (x as f32 + 0.5 - half_w) / half_w;
             let r_sq = (u * u * half_w * half_w + v * v * half_h * half_h) / corner_sq;
             let shade = (1.0 - optics.vignetting as f32 * r_sq)
                 * (1.0 + optics.gradient[0] as f32 * u + optics.gradient[1] as f32 * v)
-                * self.window[i]
+                * window[x]
                 * white;
-            for c in 0..channels {
-                let value = if channels == 1 {
-                    0.299 * light[0][i] + 0.587 * light[1][i] + 0.114 * light[2][i]
-                } else {
-                    light[c][i]
+            let rgb = [rows[0][x], rows[1][x], rows[2][x]];
+            let mut bits = if noisy { rng.random::<u64>() } else { 0 };
+            for (c, out) in out.iter_mut().enumerate() {
+                let value = match config.channels {
+                    Channels::Gray => 0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2],
+                    Channels::Rgb => rgb[c],
                 };
                 let mut electrons = (value * shade).max(0.0);
                 if noisy {
-                    let unit: f32 = rng.sample(StandardNormal);
+                    let unit = self.normal[(bits & 0xfff) as usize];
+                    bits >>= 12;
                     electrons += unit * (shot * electrons + read_sq).sqrt();
                 }
                 let level = electrons.min(full_well) * level_per_e;
-                row[x * channels + c] = (level + 0.5).clamp(0.0, top) as u16;
+                *out = (level + 0.5).clamp(0.0, top) as u16;
             }
         }
     }
+}
+
+/// 4096 equally probable values of the standard normal distribution, in rising order: a random number of 12 bits picks
+/// one. Five times faster than drawing exactly, with tails cut at 3.5 standard deviations.
+fn normal_table() -> Vec<f32> {
+    const COUNT: usize = 4096;
+    const STEP: f64 = 1e-4;
+    let density = |x: f64| (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt();
+    let (mut x, mut below) = (-6.0, 0.0);
+    let mut table = Vec::with_capacity(COUNT);
+    while table.len() < COUNT {
+        below += STEP * density(x + 0.5 * STEP);
+        x += STEP;
+        // The share of the table filled so far, at the middle of the next entry.
+        while table.len() < COUNT && (below >= (table.len() as f64 + 0.5) / COUNT as f64 || x > 6.0)
+        {
+            table.push(x as f32);
+        }
+    }
+    table
 }
 
 fn full_scale(bit_depth: u8) -> u16 {

@@ -148,3 +148,17 @@ fn without_light_only_read_noise_remains() {
     let s = Sensor::new(&config, 1).develop(&flat(&config, 0.9), &plain_optics(), 10.0, false, 0);
     assert!(mean_sd(&values(s)).0 < 0.5);
 }
+
+#[test]
+fn the_table_is_normal() {
+    let table: Vec<f64> = normal_table().into_iter().map(f64::from).collect();
+    let (mean, sd) = mean_sd(&table);
+    assert!(mean.abs() < 1e-3 && (sd - 1.0).abs() < 2e-3, "{mean} {sd}");
+    // Percentiles of the standard normal distribution.
+    for (share, z) in [(0.5, 0.0), (0.8413, 1.0), (0.9772, 2.0), (0.99865, 3.0)] {
+        assert!(
+            (table[(share * 4096.0) as usize] - z).abs() < 0.01,
+            "{share}"
+        );
+    }
+}

@@ -1,7 +1,7 @@
 //! What only the simulator knows.
 
 use crate::optics::{Affine, View, principal_point};
-use crate::stage::StageConfig;
+use crate::stage_config::StageConfig;
 use scopeservo_scope::{ObjectiveId, StagePose};
 use serde::{Deserialize, Serialize};
 
