@@ -13,6 +13,7 @@ mod error;
 mod jpeg;
 mod raster;
 mod slide;
+mod tags;
 mod tiled;
 mod whole;
 

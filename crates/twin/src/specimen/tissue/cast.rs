@@ -196,8 +196,8 @@ fn cast_nucleus(
             } else {
                 0.0
             };
-            let amount =
-                cell.hematoxylin * (0.82 + cell.rim * (rim - 0.3) + chromatin + 0.55 * spot);
+            let shade = 0.82 + cell.rim * (rim - 0.3) + chromatin + 0.55 * spot;
+            let amount = cell.hematoxylin * shade.max(0.42);
             layers.nucleus[at] = layers.nucleus[at].max(cover * amount);
             layers.cover[at] = layers.cover[at].max(cover);
         }
