@@ -1,2 +1,47 @@
 //! The program `scopeservo`.
-fn main() {}
+//!
+//! Exit codes: 0 arrived or found, 3 not found or refused, 2 bad input or usage, 1 fault or interruption. With `--json`
+//! the answer is one JSON object on stdout and everything else goes to stderr.
+
+#![expect(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a program talks on stdout and stderr"
+)]
+
+mod args;
+mod demo;
+mod error;
+mod output;
+mod progress;
+mod register;
+mod scene;
+mod views;
+
+use args::{Cli, Command};
+use clap::Parser;
+use error::CliError;
+use std::process::ExitCode;
+
+/// Something was answered, and it is what was hoped for.
+const YES: u8 = 0;
+/// Not found, or refused.
+const NO: u8 = 3;
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let answer = match cli.command {
+        Command::Demo(args) => demo::run(&args),
+        Command::Register(args) => register::run(&args),
+        Command::Calibrate | Command::Focus | Command::Reposition => Err(CliError::NoInstrument),
+        Command::Target(_) => Err(CliError::NoInstrument),
+    };
+    match answer {
+        Ok(true) => ExitCode::from(YES),
+        Ok(false) => ExitCode::from(NO),
+        Err(error) => {
+            eprintln!("scopeservo: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}

@@ -2,6 +2,8 @@
 //!
 //! Each study is an example of this crate: `cargo run --release -p scopeservo-studies --example NAME -- ARGS`.
 
+pub mod bench;
+pub mod crops;
 pub mod warp;
 
 use std::path::PathBuf;

@@ -1,0 +1,396 @@
+//! `scopeservo demo`: a reposition on a simulated microscope, from saving the view to the report.
+
+use crate::args::{DemoArgs, Method, Noise};
+use crate::error::CliError;
+use crate::output::{self, DemoJson, SCHEMA};
+use crate::progress::Watcher;
+use crate::scene::{self, Scene};
+use crate::views::{ViewWriter, write_json};
+use scopeservo_report as report;
+use scopeservo_scope::{
+    CancelToken, CheckedStage, Clock, Instrument, Limits, ObjectiveId, VirtualClock,
+};
+use scopeservo_servo::{
+    Engine, Event, Focus, FocusOptions, FrameRole, Outcome, Reason, Reposition, RepositionOptions,
+    ServoError, ServoOptions, Sink, Stamped, Target, Verdict, VisionOptions,
+};
+use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
+use scopeservo_twin::{Config, Truth, Twin};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+const DEFAULT_OUT: &str = "scopeservo-demo";
+
+pub(crate) fn run(args: &DemoArgs) -> Result<bool, CliError> {
+    check(args)?;
+    let mut pool = rayon::ThreadPoolBuilder::new();
+    if let Some(threads) = args.threads {
+        pool = pool.num_threads(threads);
+    }
+    let pool = pool
+        .build()
+        .map_err(|e| CliError::Internal(format!("no threads could be started: {e}")))?;
+    pool.install(|| demo(args))
+}
+
+fn check(args: &DemoArgs) -> Result<(), CliError> {
+    let usage = |text: &str| Err(CliError::Usage(text.into()));
+    if !(args.lambda > 0.0 && args.lambda <= 1.0) {
+        return usage("--lambda must be above 0 and at most 1; the paper uses 0.2");
+    }
+    if args.threads == Some(0) {
+        return usage("--threads must be at least 1");
+    }
+    if args.max_iterations == 0 {
+        return usage("--max-iterations must be at least 1");
+    }
+    if args.start_deg.is_some_and(|d| !d.is_finite()) {
+        return usage("--start-deg must be a number of degrees");
+    }
+    if args.um_per_px.is_some_and(|u| !(u.is_finite() && u > 0.0)) {
+        return usage("--um-per-px must be a number above 0, like 0.5 for a slide scanned at 20x");
+    }
+    Ok(())
+}
+
+/// The simulated bench: a microscope with the slide on it, and what only the simulation knows.
+struct Bench {
+    twin: Twin,
+    scope: Instrument,
+    specimen: Arc<dyn Specimen>,
+    scene: Scene,
+}
+
+fn bench(args: &DemoArgs) -> Result<Bench, CliError> {
+    let specimen: Arc<dyn Specimen> = match &args.specimen {
+        Some(path) => Arc::new(FileSpecimen::open(path, args.um_per_px)?),
+        None => Arc::new(Tissue::new(args.seed)),
+    };
+    let scene = scene::draw(&*specimen, args.seed, args.start_um, args.start_deg)?;
+    let config = match args.noise {
+        Noise::Default => Config::realistic(),
+        Noise::None => Config::noiseless(),
+    };
+    let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
+    let twin = Twin::new(config, specimen.clone(), args.seed, clock.clone())?;
+    let cancel = CancelToken::new();
+    let wish = cancel.clone();
+    // A second handler cannot be set in one process; the first one then keeps working.
+    let _ = ctrlc::set_handler(move || wish.cancel());
+    let scope = Instrument::new(
+        CheckedStage::new(twin.stage(), &Limits::default())?,
+        twin.camera(),
+        twin.nosepiece(),
+        clock,
+        cancel,
+    );
+    Ok(Bench {
+        twin,
+        scope,
+        specimen,
+        scene,
+    })
+}
+
+/// Saves the target: the highest magnification, focused, over the scene's place. `None` when nothing is to be seen there.
+fn save_target(
+    bench: &Bench,
+    vision: &VisionOptions,
+    watcher: &mut Watcher,
+) -> Result<Result<(Target, Truth), ServoError>, CliError> {
+    let scope = &bench.scope;
+    let best = scope
+        .nosepiece()
+        .objectives()
+        .iter()
+        .max_by(|a, b| a.magnification.total_cmp(&b.magnification))
+        .cloned()
+        .ok_or_else(|| CliError::Internal("the simulated nosepiece is empty".into()))?;
+    scope.select_objective(&best.id)?;
+    bench.twin.centre_specimen(bench.scene.target_um, 0.0);
+    let mut focus = Focus::new(best, FocusOptions::default());
+    // The sweep before saving is not part of the run that the report tells of.
+    match scopeservo_servo::run(&mut focus, scope, &mut scopeservo_servo::NoSink) {
+        Ok(_) => {}
+        Err(error @ ServoError::NoFocus { .. }) => return Ok(Err(error)),
+        Err(error) => return Err(error.into()),
+    }
+    let mut last = LastFrame { watcher, sequence: 0 };
+    let target = Target::save(scope, vision, &mut last)?;
+    let truth = bench
+        .twin
+        .truth(last.sequence)
+        .ok_or_else(|| CliError::Internal("the simulation forgot the target's pose".into()))?;
+    Ok(Ok((target, truth)))
+}
+
+/// Passes everything on and remembers the last frame's number.
+struct LastFrame<'a> {
+    watcher: &'a mut Watcher,
+    sequence: u64,
+}
+
+impl Sink for LastFrame<'_> {
+    fn event(&mut self, event: Stamped) {
+        self.watcher.event(event);
+    }
+    fn frame(&mut self, frame: &scopeservo_scope::Frame, role: FrameRole) {
+        self.sequence = frame.sequence;
+        self.watcher.frame(frame, role);
+    }
+}
+
+fn demo(args: &DemoArgs) -> Result<bool, CliError> {
+    let started = Instant::now();
+    let bench = bench(args)?;
+    let out = args.out.clone().unwrap_or_else(|| PathBuf::from(DEFAULT_OUT));
+    fs::create_dir_all(&out).map_err(|source| CliError::Write {
+        path: out.clone(),
+        source,
+    })?;
+    let views = match &args.out {
+        Some(out) => Some(ViewWriter::new(out, bench.twin.clone())?),
+        None => None,
+    };
+    let mut watcher = Watcher::new(views);
+    let options = RepositionOptions {
+        servo: ServoOptions {
+            lambda: args.lambda,
+            max_iterations: args.max_iterations,
+            ..ServoOptions::default()
+        },
+        ..RepositionOptions::default()
+    };
+    let scope = &bench.scope;
+    let saved = save_target(&bench, &options.vision, &mut watcher)?;
+
+    // The slide is taken out and put back: the view now lies start_um from the target, the slide turned about it.
+    let (before, time_before) = (scope.counters(), scope.clock().now());
+    let (outcome, target_truth) = match saved {
+        Ok((target, truth)) => {
+            displace(&bench);
+            let mut run = Reposition::new(target, options);
+            let outcome = scopeservo_servo::run(&mut run, scope, &mut watcher);
+            (outcome.inspect_err(|_| watcher.finish())?, Some(truth))
+        }
+        Err(error) => (nothing_to_save(&error, scope, &mut watcher), None),
+    };
+    watcher.finish();
+
+    let arrival = target_truth.as_ref().map(|t| arrival_error(t, &bench.twin.truth_now()));
+    let engine = Engine::current();
+    let counters = scope.counters();
+    let json = DemoJson {
+        schema: SCHEMA,
+        verdict: outcome.verdict,
+        reason: outcome.reason,
+        message: outcome.message.clone(),
+        estimated_error_um: outcome.estimated_error_um,
+        estimated_error_deg: outcome.estimated_error_deg,
+        true_error_um: arrival.map(|a| f64::hypot(a.0[0], a.0[1])),
+        true_error_deg: arrival.map(|a| a.1.abs()),
+        virtual_time_s: scope.clock().now().since(time_before).as_secs_f64(),
+        moves: counters.moves - before.moves,
+        frames: counters.frames - before.frames,
+        magnifications: output::magnifications(&outcome),
+        noise: match args.noise {
+            Noise::Default => "default",
+            Noise::None => "none",
+        },
+        method: match args.method {
+            Method::Paper => "paper",
+        },
+        lambda: args.lambda,
+        seed: args.seed,
+        specimen: specimen_name(args, &bench),
+        start_um: bench.scene.start_um,
+        start_deg: bench.scene.turn_deg,
+        engine: engine.name,
+        cpu_level: engine.cpu_level,
+    };
+    let report_path = write_all(args, &bench, watcher, &json, target_truth.as_ref(), &out, started)?;
+    if args.json {
+        output::print(&json)?;
+    } else {
+        print_summary(&json, &report_path, started);
+    }
+    Ok(outcome.verdict == Verdict::Arrived)
+}
+
+/// Puts the slide back so that the view's centre lies at `target + start_um`, the slide turned about the target.
+fn displace(bench: &Bench) {
+    let Scene {
+        target_um,
+        start_um,
+        turn_deg,
+    } = bench.scene;
+    let (s, c) = turn_deg.to_radians().sin_cos();
+    let shift_um = [
+        -(c * start_um[0] - s * start_um[1]),
+        -(s * start_um[0] + c * start_um[1]),
+    ];
+    bench.twin.remount(target_um, shift_um, turn_deg, false);
+}
+
+fn nothing_to_save(error: &ServoError, scope: &Instrument, watcher: &mut Watcher) -> Outcome {
+    let outcome = Outcome {
+        verdict: Verdict::Refused,
+        reason: Reason::NoFocus,
+        message: format!("there was nothing to save as a target: {error}"),
+        estimated_error_um: None,
+        estimated_error_deg: None,
+        magnifications: Vec::new(),
+    };
+    watcher.event(Stamped {
+        time_s: scope.clock().now().seconds(),
+        event: Event::Finished {
+            outcome: outcome.clone(),
+        },
+    });
+    outcome
+}
+
+/// Where the view's centre lies from the target's on the specimen (um), and the angle (deg).
+fn arrival_error(target: &Truth, view: &Truth) -> ([f64; 2], f64) {
+    let turn = view.angle_deg - target.angle_deg;
+    (
+        [
+            view.centre_um[0] - target.centre_um[0],
+            view.centre_um[1] - target.centre_um[1],
+        ],
+        (turn + 180.0).rem_euclid(360.0) - 180.0,
+    )
+}
+
+fn specimen_name(args: &DemoArgs, bench: &Bench) -> String {
+    match &args.specimen {
+        Some(path) => path
+            .file_name()
+            .map_or_else(|| bench.specimen.describe(), |n| n.to_string_lossy().into_owned()),
+        None => bench.specimen.describe(),
+    }
+}
+
+fn write_all(
+    args: &DemoArgs,
+    bench: &Bench,
+    watcher: Watcher,
+    json: &DemoJson,
+    target: Option<&Truth>,
+    out: &Path,
+    started: Instant,
+) -> Result<PathBuf, CliError> {
+    let Watcher { recorder, views, .. } = watcher;
+    let truth = target.map(|target| hidden_truth(bench, &recorder, target, json));
+    let context = report::Context {
+        title: format!("Reposition on {}", json.specimen),
+        specimen: bench.specimen.describe(),
+        instrument: "simulated microscope (hexapod, 10x / 20x / 40x, 640x480 camera)".into(),
+        command: std::iter::once("scopeservo".to_string())
+            .chain(std::env::args().skip(1))
+            .collect::<Vec<_>>()
+            .join(" "),
+        seed: Some(args.seed),
+        version: env!("CARGO_PKG_VERSION").into(),
+        virtual_time: true,
+        wall_time_s: Some(started.elapsed().as_secs_f64()),
+        credit: None,
+    };
+    let page = report::html(&recorder, truth.as_ref(), &context);
+    let report_path = out.join("report.html");
+    if let Some(views) = views {
+        views.finish(out)?;
+        write_json(&out.join("events.json"), &recorder.events())?;
+    }
+    write_json(&out.join("result.json"), json)?;
+    report::write(&report_path, &page).map_err(|source| CliError::Write {
+        path: report_path.clone(),
+        source,
+    })?;
+    Ok(report_path)
+}
+
+/// What the report shows beside the claims.
+fn hidden_truth(
+    bench: &Bench,
+    recorder: &report::Recorder,
+    target: &Truth,
+    json: &DemoJson,
+) -> report::Truth {
+    let iterations = recorder
+        .events()
+        .iter()
+        .filter_map(|e| match &e.event {
+            Event::Iteration { sequence, .. } => {
+                let ([x, y], turn) = arrival_error(target, &bench.twin.truth(*sequence)?);
+                Some(report::TrueIteration {
+                    sequence: *sequence,
+                    error_um: f64::hypot(x, y),
+                    error_deg: turn,
+                    x_um: x,
+                    y_um: y,
+                })
+            }
+            _ => None,
+        })
+        .collect();
+    let calibrations = bench
+        .scope
+        .nosepiece()
+        .objectives()
+        .iter()
+        .filter_map(|o| {
+            let t = bench.twin.true_calibration(&ObjectiveId(o.id.0.clone()))?;
+            Some(report::TrueCalibration {
+                objective: o.id.0.clone(),
+                kx_px_per_m: t.kx,
+                ky_px_per_m: t.ky,
+                phi_deg: t.phi_deg,
+                eta_mm: t.eta_mm,
+            })
+        })
+        .collect();
+    report::Truth {
+        error_um: json.true_error_um.unwrap_or(0.0),
+        error_deg: json.true_error_deg.unwrap_or(0.0),
+        iterations,
+        calibrations,
+    }
+}
+
+fn print_summary(json: &DemoJson, report: &Path, started: Instant) {
+    let verdict = match json.verdict {
+        Verdict::Arrived => "arrived",
+        Verdict::NotFound => "not found",
+        Verdict::Refused => "refused",
+    };
+    println!("{verdict}: {}", json.message);
+    println!(
+        "  slide put back {:.0} um away and turned {:.2} deg, on {}",
+        f64::hypot(json.start_um[0], json.start_um[1]),
+        json.start_deg,
+        json.specimen
+    );
+    for m in &json.magnifications {
+        match (m.iterations, m.inliers, m.error_um, m.error_deg) {
+            (Some(n), Some(inliers), Some(um), Some(deg)) => println!(
+                "  {:>4}x  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {deg:8.4} deg  {:.4} um/px",
+                m.magnification, m.calibration.um_per_px
+            ),
+            _ => println!("  {:>4}x  the target was not seen", m.magnification),
+        }
+    }
+    if let (Some(um), Some(deg)) = (json.true_error_um, json.true_error_deg) {
+        println!("  true error {um:.3} um, {deg:.4} deg (only the simulation knows)");
+    }
+    println!(
+        "  {} moves, {} frames, {:.1} s of instrument time, {:.1} s here",
+        json.moves,
+        json.frames,
+        json.virtual_time_s,
+        started.elapsed().as_secs_f64()
+    );
+    println!("  report: {}", report.display());
+}

@@ -1,0 +1,121 @@
+//! The JSON that `--json` prints. Keys are stable: they are added to, never renamed.
+
+use scopeservo_geometry::Affine2;
+use scopeservo_servo::{Calibration, Outcome, Reason, ServoEnd, Verdict};
+use serde::Serialize;
+
+/// Version of the keys below.
+pub(crate) const SCHEMA: u32 = 1;
+
+#[derive(Debug, Serialize)]
+pub(crate) struct DemoJson {
+    pub(crate) schema: u32,
+    pub(crate) verdict: Verdict,
+    pub(crate) reason: Reason,
+    pub(crate) message: String,
+    pub(crate) estimated_error_um: Option<f64>,
+    pub(crate) estimated_error_deg: Option<f64>,
+    pub(crate) true_error_um: Option<f64>,
+    pub(crate) true_error_deg: Option<f64>,
+    pub(crate) virtual_time_s: f64,
+    pub(crate) moves: u64,
+    pub(crate) frames: u64,
+    pub(crate) magnifications: Vec<MagnificationJson>,
+    pub(crate) noise: &'static str,
+    pub(crate) method: &'static str,
+    pub(crate) lambda: f64,
+    pub(crate) seed: u64,
+    pub(crate) specimen: String,
+    pub(crate) start_um: [f64; 2],
+    pub(crate) start_deg: f64,
+    pub(crate) engine: String,
+    pub(crate) cpu_level: String,
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct MagnificationJson {
+    pub(crate) objective: String,
+    pub(crate) magnification: f64,
+    pub(crate) end: &'static str,
+    pub(crate) iterations: Option<usize>,
+    pub(crate) inliers: Option<usize>,
+    pub(crate) error_um: Option<f64>,
+    pub(crate) error_deg: Option<f64>,
+    pub(crate) calibration: CalibrationJson,
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct CalibrationJson {
+    pub(crate) um_per_px: f64,
+    pub(crate) kx_px_per_m: Option<f64>,
+    pub(crate) ky_px_per_m: Option<f64>,
+    pub(crate) phi_deg: Option<f64>,
+    pub(crate) rotation_centre_mm: Option<[f64; 2]>,
+    pub(crate) full: Calibration,
+}
+
+pub(crate) fn magnifications(outcome: &Outcome) -> Vec<MagnificationJson> {
+    outcome
+        .magnifications
+        .iter()
+        .map(|m| {
+            let (end, result) = match &m.end {
+                ServoEnd::Converged(r) => ("converged", Some(r)),
+                ServoEnd::IterationLimit(r) => ("iteration_limit", Some(r)),
+                ServoEnd::Diverged(r) => ("diverged", Some(r)),
+                ServoEnd::Lost(_) => ("lost", None),
+            };
+            MagnificationJson {
+                objective: m.objective.0.clone(),
+                magnification: m.magnification,
+                end,
+                iterations: result.map(|r| r.iterations),
+                inliers: result.map(|r| r.inliers),
+                error_um: result.map(|r| r.error.distance_um()),
+                error_deg: result.map(|r| r.error.angle_deg()),
+                calibration: calibration(&m.calibration),
+            }
+        })
+        .collect()
+}
+
+fn calibration(c: &Calibration) -> CalibrationJson {
+    let reading = c.reading();
+    CalibrationJson {
+        um_per_px: c.um_per_px(),
+        kx_px_per_m: reading.map(|r| r.kx_px_per_m),
+        ky_px_per_m: reading.map(|r| r.ky_px_per_m),
+        phi_deg: reading.map(|r| r.phi_rad.to_degrees()),
+        rotation_centre_mm: c.rotation_centre_m.map(|e| e.map(|v| v * 1e3)),
+        full: c.clone(),
+    }
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct RegisterJson {
+    pub(crate) schema: u32,
+    pub(crate) verdict: &'static str,
+    pub(crate) reason: String,
+    pub(crate) message: String,
+    pub(crate) target_from_view: Option<Affine2>,
+    pub(crate) inliers: usize,
+    pub(crate) sigma_px: Option<f64>,
+    pub(crate) scale: Option<f64>,
+    pub(crate) rotation_deg: Option<f64>,
+    pub(crate) matches: usize,
+    pub(crate) keypoints: [usize; 2],
+    pub(crate) log10_false_alarms: Option<f64>,
+    /// Factor by which view and target were reduced before looking; coordinates are full-resolution all the same.
+    pub(crate) reduced: [usize; 2],
+    pub(crate) level: usize,
+    pub(crate) engine: String,
+    pub(crate) cpu_level: String,
+}
+
+/// Prints a value as one line of JSON on stdout.
+pub(crate) fn print(value: &impl Serialize) -> Result<(), crate::CliError> {
+    let text = serde_json::to_string(value)
+        .map_err(|e| crate::CliError::Internal(format!("the answer could not be written: {e}")))?;
+    println!("{text}");
+    Ok(())
+}

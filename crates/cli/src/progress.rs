@@ -1,0 +1,122 @@
+//! The progress bar, and the sink that shares events among bar, recorder and view writer.
+
+use crate::views::ViewWriter;
+use indicatif::{ProgressBar, ProgressStyle};
+use scopeservo_report::Recorder;
+use scopeservo_scope::Frame;
+use scopeservo_servo::{Event, FrameRole, Phase, Sink, Stamped};
+
+/// Shares of a run that its parts take, from experience: the bar should move evenly.
+const FOCUS: f64 = 2.0;
+const CALIBRATE: f64 = 4.0;
+const SERVO: f64 = 12.0;
+
+pub(crate) struct Watcher {
+    pub(crate) recorder: Recorder,
+    pub(crate) views: Option<ViewWriter>,
+    bar: ProgressBar,
+    done: f64,
+    total: f64,
+    first_error_um: f64,
+}
+
+impl Watcher {
+    pub(crate) fn new(views: Option<ViewWriter>) -> Self {
+        let bar = ProgressBar::new(1000);
+        let style = ProgressStyle::with_template("{elapsed:>4} {bar:30} {percent:>3} %  {msg}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar());
+        bar.set_style(style);
+        Self {
+            recorder: Recorder::new(),
+            views,
+            bar,
+            done: 0.0,
+            total: FOCUS + CALIBRATE,
+            first_error_um: f64::NAN,
+        }
+    }
+
+    pub(crate) fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+
+    fn show(&self, within: f64) {
+        let share = ((self.done + within) / self.total).clamp(0.0, 1.0);
+        self.bar.set_position((share * 1000.0) as u64);
+    }
+
+    fn follow(&mut self, event: &Event) {
+        match event {
+            Event::Started { objectives, .. } => {
+                let legs = objectives.len() as f64;
+                self.total = (legs + 1.0) * (FOCUS + CALIBRATE) + legs * SERVO;
+            }
+            Event::PhaseStarted { phase, objective } => {
+                let what = match phase {
+                    Phase::Switch => "changing to",
+                    Phase::Focus => "focusing with",
+                    Phase::Calibrate => "calibrating",
+                    Phase::Servo => "servoing with",
+                };
+                self.first_error_um = f64::NAN;
+                self.bar.set_message(format!("{what} {objective}"));
+            }
+            Event::Focused { .. } => self.done += FOCUS,
+            Event::Calibrated { .. } => self.done += CALIBRATE,
+            Event::Iteration {
+                objective,
+                iteration,
+                error,
+                inliers,
+                converged,
+                ..
+            } => {
+                let e = error.distance_um();
+                if self.first_error_um.is_nan() {
+                    self.first_error_um = e;
+                }
+                self.bar.set_message(format!(
+                    "{objective} iteration {iteration}: {e:.2} um, {:.3} deg, {inliers} inliers",
+                    error.angle_deg()
+                ));
+                // The error falls exponentially towards about half a micrometre.
+                let way = (self.first_error_um / e).ln() / (self.first_error_um / 0.5).ln().max(0.1);
+                if *converged {
+                    self.bar.set_message(format!("{objective}: {e:.2} um, confirming"));
+                }
+                self.show(SERVO * way.clamp(0.0, 1.0));
+                return;
+            }
+            Event::Lost { iteration, reason, .. } => {
+                self.bar.set_message(format!("iteration {iteration}: {reason}"));
+            }
+            _ => return,
+        }
+        if let Event::PhaseStarted { phase: Phase::Switch, .. } = event {
+            // A finished servo leg is known by the next one's beginning.
+            let whole = FOCUS + CALIBRATE;
+            let legs = ((self.done - whole) / (whole + SERVO)).ceil().max(0.0);
+            if self.done > whole {
+                self.done = whole + legs * (whole + SERVO);
+            }
+        }
+        self.show(0.0);
+    }
+}
+
+impl Sink for Watcher {
+    fn event(&mut self, event: Stamped) {
+        self.follow(&event.event);
+        if let Some(views) = &mut self.views {
+            views.event(&event);
+        }
+        self.recorder.event(event);
+    }
+
+    fn frame(&mut self, frame: &Frame, role: FrameRole) {
+        if let Some(views) = &mut self.views {
+            views.frame(frame);
+        }
+        self.recorder.frame(frame, role);
+    }
+}

@@ -1,0 +1,175 @@
+//! `scopeservo register`: one image found in another.
+
+use crate::args::RegisterArgs;
+use crate::error::CliError;
+use crate::output::{self, RegisterJson, SCHEMA};
+use scopeservo_geometry::{Affine2, Mat2};
+use scopeservo_registration::{NotFound, Options, Prior};
+use scopeservo_servo::Engine;
+use scopeservo_sift::{Features, GrayImage, detect_and_describe};
+use scopeservo_slide::Slide;
+use std::path::Path;
+
+/// Above this many pixels an image is reduced before looking.
+const MAX_PIXELS: usize = 4_000_000;
+/// Smaller images cannot hold features.
+const LEAST_SIDE: usize = 16;
+
+pub(crate) fn run(args: &RegisterArgs) -> Result<bool, CliError> {
+    if args.features == 0 {
+        return Err(CliError::Usage(
+            "--features must be at least 1; 4000 suits most images".into(),
+        ));
+    }
+    let (view, view_factor) = load(&args.view, args)?;
+    let (target, target_factor) = load(&args.target, args)?;
+    let answer =
+        scopeservo_registration::register(&view, &target, &Prior::default(), &Options::default());
+
+    let engine = Engine::current();
+    let mut json = RegisterJson {
+        schema: SCHEMA,
+        verdict: "not_found",
+        reason: String::new(),
+        message: String::new(),
+        target_from_view: None,
+        inliers: answer.inliers,
+        sigma_px: None,
+        scale: None,
+        rotation_deg: None,
+        matches: answer.matches,
+        keypoints: [view.len(), target.len()],
+        log10_false_alarms: answer.log10_nfa,
+        reduced: [view_factor, target_factor],
+        level: args.level,
+        engine: engine.name,
+        cpu_level: engine.cpu_level,
+    };
+    match &answer.outcome {
+        Ok(estimate) => {
+            let transform = reduced_from_full(target_factor)
+                .inverse()
+                .ok_or_else(|| CliError::Internal("a reduction has no inverse".into()))?
+                .after(&estimate.target_from_view)
+                .after(&reduced_from_full(view_factor));
+            let scale = transform.linear.det().abs().sqrt();
+            let angle = transform.linear.rotation_angle().unwrap_or(0.0).to_degrees();
+            let sigma = estimate.sigma_px * target_factor as f64;
+            json.verdict = "found";
+            json.reason = "agreement".into();
+            json.message = format!(
+                "{} places agree: scale {scale:.5}, rotation {angle:.3} deg, the view's centre known to {sigma:.3} px",
+                answer.inliers
+            );
+            json.target_from_view = Some(transform);
+            json.sigma_px = Some(sigma);
+            json.scale = Some(scale);
+            json.rotation_deg = Some(angle);
+        }
+        Err(reason) => {
+            json.reason = code(reason).into();
+            json.message = format!(
+                "{reason}. If both show the same place, give sharper or larger images"
+            );
+        }
+    }
+    let found = json.verdict == "found";
+    if args.json {
+        output::print(&json)?;
+    } else {
+        print_summary(&json);
+    }
+    Ok(found)
+}
+
+fn print_summary(json: &RegisterJson) {
+    for (name, factor) in [("view", json.reduced[0]), ("target", json.reduced[1])] {
+        if factor > 1 {
+            println!("{name} reduced {factor} times to look; coordinates are full-resolution");
+        }
+    }
+    let verdict = if json.verdict == "found" { "found" } else { "not found" };
+    println!("{verdict}: {}", json.message);
+    if let Some(t) = json.target_from_view {
+        for row in <[[f64; 3]; 2]>::from(t) {
+            println!("  [{:12.7} {:12.7} {:12.3}]", row[0], row[1], row[2]);
+        }
+    }
+}
+
+fn code(reason: &NotFound) -> &'static str {
+    match reason {
+        NotFound::TooFewFeatures { .. } => "too_few_features",
+        NotFound::TooFewMatches { .. } => "too_few_matches",
+        NotFound::NoAgreement { .. } => "no_agreement",
+        NotFound::ByChance { .. } => "by_chance",
+        NotFound::Uncertain { .. } => "uncertain",
+    }
+}
+
+/// Features of one file and the factor by which it was reduced.
+fn load(path: &Path, args: &RegisterArgs) -> Result<(Features, usize), CliError> {
+    let gray = Slide::open(path)?.read_gray(args.level)?;
+    if gray.width < LEAST_SIDE || gray.height < LEAST_SIDE {
+        return Err(CliError::TooSmall {
+            path: path.into(),
+            width: gray.width,
+            height: gray.height,
+            least: LEAST_SIDE,
+        });
+    }
+    let factor = (1..)
+        .find(|f| (gray.width / f) * (gray.height / f) <= MAX_PIXELS)
+        .unwrap_or(1);
+    let image = reduce(gray.width, gray.height, gray.data, factor)?;
+    let options = scopeservo_sift::Options {
+        max_features: args.features,
+        ..Default::default()
+    };
+    Ok((detect_and_describe(&image, &options)?, factor))
+}
+
+/// Means of `factor` x `factor` blocks; what does not fill a block at the right and lower border is left out.
+fn reduce(width: usize, height: usize, data: Vec<f32>, factor: usize) -> Result<GrayImage, CliError> {
+    if factor == 1 {
+        return Ok(GrayImage::new(width, height, data)?);
+    }
+    let share = 1.0 / (factor * factor) as f32;
+    let mean = |x: usize, y: usize| {
+        let rows = (0..factor).map(|j| (y * factor + j) * width + x * factor);
+        rows.map(|at| data[at..at + factor].iter().sum::<f32>())
+            .sum::<f32>()
+            * share
+    };
+    Ok(GrayImage::from_fn(width / factor, height / factor, mean)?)
+}
+
+/// A block's centre is `factor * x + (factor - 1) / 2` in full-resolution pixels.
+fn reduced_from_full(factor: usize) -> Affine2 {
+    let f = factor as f64;
+    let offset = -(f - 1.0) / (2.0 * f);
+    Affine2 {
+        linear: Mat2::diagonal(1.0 / f, 1.0 / f),
+        offset: [offset, offset],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_is_found_again_at_its_centre() {
+        let full = reduced_from_full(3).inverse().unwrap();
+        assert!((full.apply([0.0, 0.0])[0] - 1.0).abs() < 1e-12);
+        assert!((full.apply([2.0, 5.0])[1] - 16.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn reduction_takes_means() {
+        let data = (0..7 * 4).map(|i| (i % 7) as f32).collect();
+        let image = reduce(7, 4, data, 2).unwrap();
+        assert_eq!((image.width(), image.height()), (3, 2));
+        assert_eq!(image.get(1, 1), 2.5);
+    }
+}
