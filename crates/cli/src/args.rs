@@ -5,7 +5,11 @@ use std::path::PathBuf;
 
 /// Brings a motorised microscope back to the exact view you saved.
 #[derive(Debug, Parser)]
-#[command(version, about, after_help = "Exit codes: 0 arrived or found, 3 not found or refused, 2 bad input or usage, 1 fault or interruption.")]
+#[command(
+    version,
+    about,
+    after_help = "Exit codes: 0 arrived or found, 3 not found or refused, 2 bad input or usage, 1 fault or interruption."
+)]
 pub(crate) struct Cli {
     #[command(subcommand)]
     pub(crate) command: Command,
@@ -62,7 +66,12 @@ pub(crate) struct DemoArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) specimen: Option<PathBuf>,
     /// Size of a file pixel on the specimen. Needed when the file does not state it.
-    #[arg(long, value_name = "UM", requires = "specimen", allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "UM",
+        requires = "specimen",
+        allow_negative_numbers = true
+    )]
     pub(crate) um_per_px: Option<f64>,
     /// Seed of everything that is drawn: tissue, places, noise. The same seed gives the same run.
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -71,7 +80,12 @@ pub(crate) struct DemoArgs {
     #[arg(long, value_enum, default_value = "paper")]
     pub(crate) method: Method,
     /// Gain: the share of the error that one iteration takes away, above 0 up to 1.
-    #[arg(long, value_name = "F", default_value_t = 0.2, allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "F",
+        default_value_t = 0.2,
+        allow_negative_numbers = true
+    )]
     pub(crate) lambda: f64,
     /// Iterations at each magnification, at most.
     #[arg(long, value_name = "N", default_value_t = 64)]

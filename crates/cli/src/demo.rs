@@ -117,7 +117,10 @@ fn save_target(
         Err(error @ ServoError::NoFocus { .. }) => return Ok(Err(error)),
         Err(error) => return Err(error.into()),
     }
-    let mut last = LastFrame { watcher, sequence: 0 };
+    let mut last = LastFrame {
+        watcher,
+        sequence: 0,
+    };
     let target = Target::save(scope, vision, &mut last)?;
     let truth = bench
         .twin
@@ -145,7 +148,10 @@ impl Sink for LastFrame<'_> {
 fn demo(args: &DemoArgs) -> Result<bool, CliError> {
     let started = Instant::now();
     let bench = bench(args)?;
-    let out = args.out.clone().unwrap_or_else(|| PathBuf::from(DEFAULT_OUT));
+    let out = args
+        .out
+        .clone()
+        .unwrap_or_else(|| PathBuf::from(DEFAULT_OUT));
     fs::create_dir_all(&out).map_err(|source| CliError::Write {
         path: out.clone(),
         source,
@@ -179,7 +185,9 @@ fn demo(args: &DemoArgs) -> Result<bool, CliError> {
     };
     watcher.finish();
 
-    let arrival = target_truth.as_ref().map(|t| arrival_error(t, &bench.twin.truth_now()));
+    let arrival = target_truth
+        .as_ref()
+        .map(|t| arrival_error(t, &bench.twin.truth_now()));
     let engine = Engine::current();
     let counters = scope.counters();
     let json = DemoJson {
@@ -210,7 +218,15 @@ fn demo(args: &DemoArgs) -> Result<bool, CliError> {
         engine: engine.name,
         cpu_level: engine.cpu_level,
     };
-    let report_path = write_all(args, &bench, watcher, &json, target_truth.as_ref(), &out, started)?;
+    let report_path = write_all(
+        args,
+        &bench,
+        watcher,
+        &json,
+        target_truth.as_ref(),
+        &out,
+        started,
+    )?;
     if args.json {
         output::print(&json)?;
     } else {
@@ -264,11 +280,18 @@ fn arrival_error(target: &Truth, view: &Truth) -> ([f64; 2], f64) {
     )
 }
 
+/// A displacement on the specimen, along the target picture's columns and rows.
+fn along_picture(target: &Truth, offset_um: [f64; 2]) -> [f64; 2] {
+    let m = target.specimen_from_pixel;
+    [0, 1].map(|k| (m[0][k] * offset_um[0] + m[1][k] * offset_um[1]) / f64::hypot(m[0][k], m[1][k]))
+}
+
 fn specimen_name(args: &DemoArgs, bench: &Bench) -> String {
     match &args.specimen {
-        Some(path) => path
-            .file_name()
-            .map_or_else(|| bench.specimen.describe(), |n| n.to_string_lossy().into_owned()),
+        Some(path) => path.file_name().map_or_else(
+            || bench.specimen.describe(),
+            |n| n.to_string_lossy().into_owned(),
+        ),
         None => bench.specimen.describe(),
     }
 }
@@ -282,7 +305,9 @@ fn write_all(
     out: &Path,
     started: Instant,
 ) -> Result<PathBuf, CliError> {
-    let Watcher { recorder, views, .. } = watcher;
+    let Watcher {
+        recorder, views, ..
+    } = watcher;
     let truth = target.map(|target| hidden_truth(bench, &recorder, target, json));
     let context = report::Context {
         title: format!("Reposition on {}", json.specimen),
@@ -297,6 +322,10 @@ fn write_all(
         virtual_time: true,
         wall_time_s: Some(started.elapsed().as_secs_f64()),
         credit: None,
+        convergence: Some(report::Convergence {
+            position_px: ServoOptions::default().position_px,
+            angle_deg: ServoOptions::default().angle_deg,
+        }),
     };
     let page = report::html(&recorder, truth.as_ref(), &context);
     let report_path = out.join("report.html");
@@ -324,13 +353,14 @@ fn hidden_truth(
         .iter()
         .filter_map(|e| match &e.event {
             Event::Iteration { sequence, .. } => {
-                let ([x, y], turn) = arrival_error(target, &bench.twin.truth(*sequence)?);
+                let (offset_um, turn) = arrival_error(target, &bench.twin.truth(*sequence)?);
+                let [x_um, y_um] = along_picture(target, offset_um);
                 Some(report::TrueIteration {
                     sequence: *sequence,
-                    error_um: f64::hypot(x, y),
+                    error_um: f64::hypot(x_um, y_um),
                     error_deg: turn,
-                    x_um: x,
-                    y_um: y,
+                    x_um,
+                    y_um,
                 })
             }
             _ => None,

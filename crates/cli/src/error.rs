@@ -14,7 +14,9 @@ pub(crate) enum CliError {
     Slide(#[from] SlideError),
     #[error(transparent)]
     Specimen(#[from] scopeservo_twin::specimen::SpecimenError),
-    #[error("{path} is only {width}x{height} pixels, too small to hold features; give an image of at least {least} pixels each way")]
+    #[error(
+        "{path} is only {width}x{height} pixels, too small to hold features; give an image of at least {least} pixels each way"
+    )]
     TooSmall {
         path: PathBuf,
         width: usize,
@@ -26,7 +28,9 @@ pub(crate) enum CliError {
         path: PathBuf,
         source: std::io::Error,
     },
-    #[error("this version drives the simulated microscope only, and no instrument can be configured yet; see `scopeservo demo`")]
+    #[error(
+        "this version drives the simulated microscope only, and no instrument can be configured yet; see `scopeservo demo`"
+    )]
     NoInstrument,
     #[error(transparent)]
     Servo(#[from] ServoError),

@@ -80,19 +80,28 @@ impl Watcher {
                     error.angle_deg()
                 ));
                 // The error falls exponentially towards about half a micrometre.
-                let way = (self.first_error_um / e).ln() / (self.first_error_um / 0.5).ln().max(0.1);
+                let way =
+                    (self.first_error_um / e).ln() / (self.first_error_um / 0.5).ln().max(0.1);
                 if *converged {
-                    self.bar.set_message(format!("{objective}: {e:.2} um, confirming"));
+                    self.bar
+                        .set_message(format!("{objective}: {e:.2} um, confirming"));
                 }
                 self.show(SERVO * way.clamp(0.0, 1.0));
                 return;
             }
-            Event::Lost { iteration, reason, .. } => {
-                self.bar.set_message(format!("iteration {iteration}: {reason}"));
+            Event::Lost {
+                iteration, reason, ..
+            } => {
+                self.bar
+                    .set_message(format!("iteration {iteration}: {reason}"));
             }
             _ => return,
         }
-        if let Event::PhaseStarted { phase: Phase::Switch, .. } = event {
+        if let Event::PhaseStarted {
+            phase: Phase::Switch,
+            ..
+        } = event
+        {
             // A finished servo leg is known by the next one's beginning.
             let whole = FOCUS + CALIBRATE;
             let legs = ((self.done - whole) / (whole + SERVO)).ceil().max(0.0);

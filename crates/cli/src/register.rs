@@ -53,7 +53,11 @@ pub(crate) fn run(args: &RegisterArgs) -> Result<bool, CliError> {
                 .after(&estimate.target_from_view)
                 .after(&reduced_from_full(view_factor));
             let scale = transform.linear.det().abs().sqrt();
-            let angle = transform.linear.rotation_angle().unwrap_or(0.0).to_degrees();
+            let angle = transform
+                .linear
+                .rotation_angle()
+                .unwrap_or(0.0)
+                .to_degrees();
             let sigma = estimate.sigma_px * target_factor as f64;
             json.verdict = "found";
             json.reason = "agreement".into();
@@ -68,9 +72,8 @@ pub(crate) fn run(args: &RegisterArgs) -> Result<bool, CliError> {
         }
         Err(reason) => {
             json.reason = code(reason).into();
-            json.message = format!(
-                "{reason}. If both show the same place, give sharper or larger images"
-            );
+            json.message =
+                format!("{reason}. If both show the same place, give sharper or larger images");
         }
     }
     let found = json.verdict == "found";
@@ -88,7 +91,11 @@ fn print_summary(json: &RegisterJson) {
             println!("{name} reduced {factor} times to look; coordinates are full-resolution");
         }
     }
-    let verdict = if json.verdict == "found" { "found" } else { "not found" };
+    let verdict = if json.verdict == "found" {
+        "found"
+    } else {
+        "not found"
+    };
     println!("{verdict}: {}", json.message);
     if let Some(t) = json.target_from_view {
         for row in <[[f64; 3]; 2]>::from(t) {
@@ -130,7 +137,12 @@ fn load(path: &Path, args: &RegisterArgs) -> Result<(Features, usize), CliError>
 }
 
 /// Means of `factor` x `factor` blocks; what does not fill a block at the right and lower border is left out.
-fn reduce(width: usize, height: usize, data: Vec<f32>, factor: usize) -> Result<GrayImage, CliError> {
+fn reduce(
+    width: usize,
+    height: usize,
+    data: Vec<f32>,
+    factor: usize,
+) -> Result<GrayImage, CliError> {
     if factor == 1 {
         return Ok(GrayImage::new(width, height, data)?);
     }

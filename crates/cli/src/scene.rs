@@ -115,7 +115,9 @@ mod tests {
         for seed in 0..3 {
             let scene = draw(&tissue, seed, None, None).unwrap();
             assert!(f64::hypot(scene.start_um[0], scene.start_um[1]) >= LEAST_SHIFT_UM);
-            assert!(scene.start_um[0].abs() <= REACH_UM[0] && scene.start_um[1].abs() <= REACH_UM[1]);
+            assert!(
+                scene.start_um[0].abs() <= REACH_UM[0] && scene.start_um[1].abs() <= REACH_UM[1]
+            );
             assert!(scene.turn_deg.abs() <= MAX_TURN_DEG);
             assert_eq!(scene, draw(&tissue, seed, None, None).unwrap());
         }
