@@ -1,0 +1,353 @@
+//! The top of the page: did it arrive, how far off, how is that known.
+
+use crate::page::{Report, verdict_word, view_name};
+use crate::picture::aim;
+use crate::story::outline;
+use crate::svg::{Attr, Canvas, Key, Mark, Panel, Scale, nice_step};
+use crate::text::{deg, escape, fixed, seconds, short, um};
+use scopeservo_servo::{ServoEnd, Verdict};
+use std::fmt::Write as _;
+
+pub(crate) fn section(r: &Report<'_>, title: &str) -> String {
+    let outcome = r.story.outcome;
+    let (class, icon) = match outcome.map(|o| o.verdict) {
+        Some(Verdict::Arrived) => ("arrived", "M9 20.5l7 7L31 12.5"),
+        Some(Verdict::NotFound) => (
+            "lost",
+            "M14 15a6 6 0 1 1 8.5 5.5c-2 1-2.5 2-2.5 4.500M20 30.500v.2",
+        ),
+        Some(Verdict::Refused) => ("refused", "M12 12l16 16M28 12l-16 16"),
+        None => ("unfinished", "M12 20h.2M20 20h.2M28 20h.2"),
+    };
+    let message = outcome.map_or_else(
+        || "The record of this run ends before an answer was given.".into(),
+        |o| sentence(&o.message),
+    );
+    let about: Vec<_> = [&r.context.specimen, &r.context.instrument]
+        .into_iter()
+        .filter(|t| !t.is_empty())
+        .map(|t| escape(t))
+        .collect();
+    let mut out = format!(
+        "<header class=\"{class}\">\n<p class=\"over\">{}</p>\n<div class=\"verdict\">\
+         <svg class=\"icon\" viewBox=\"0 0 40 40\" aria-hidden=\"true\"><circle cx=\"20\" cy=\"20\" r=\"19\"/><path d=\"{icon}\"/></svg>\
+         <h1>{}</h1></div>\n<p class=\"message\">{}</p>\n",
+        escape(title),
+        verdict_word(&r.story),
+        escape(&message),
+    );
+    if !about.is_empty() {
+        let _ = writeln!(out, "<p class=\"about\">{}</p>", about.join(" · "));
+    }
+    out.push_str(&numbers(r));
+    out.push_str(&known(r));
+    out.push_str("</header>\n");
+    out.push_str(&comparison(r));
+    out
+}
+
+/// With a capital letter and a full stop.
+fn sentence(text: &str) -> String {
+    let mut chars = text.chars();
+    let first = chars.next().map(|c| c.to_uppercase().to_string());
+    let mut out = first.unwrap_or_default() + chars.as_str();
+    // Events are written in ASCII; a page need not be.
+    for (ascii, unit) in [
+        (" um ", " µm "),
+        (" um,", " µm,"),
+        (" um.", " µm."),
+        (" deg ", "° "),
+    ] {
+        out = out.replace(ascii, unit);
+    }
+    if !out.ends_with(['.', '!', '?']) {
+        out.push('.');
+    }
+    out
+}
+
+fn numbers(r: &Report<'_>) -> String {
+    let mut out = String::from("<dl class=\"numbers\">\n");
+    let mut add = |name: &str, value: String, class: &str| {
+        let _ = writeln!(
+            out,
+            "<div class=\"{class}\"><dt>{name}</dt><dd>{}</dd></div>",
+            escape(&value)
+        );
+    };
+    if let Some(outcome) = r.story.outcome {
+        if let Some(v) = outcome.estimated_error_um {
+            add("off target, estimated", um(v), "big");
+        }
+        if let Some(v) = outcome.estimated_error_deg {
+            add("turned, estimated", deg(v), "big");
+        }
+    }
+    if let Some(t) = r.truth.filter(|t| t.error_um.is_finite()) {
+        add("off target, truly", um(t.error_um), "big true");
+        add("turned, truly", deg(t.error_deg.abs()), "big true");
+    }
+    if r.story.iterations() > 0 {
+        add("iterations", r.story.iterations().to_string(), "");
+        let moves = r
+            .story
+            .magnifications
+            .iter()
+            .flat_map(|m| &m.iterations)
+            .filter(|i| !i.converged)
+            .count();
+        add("corrections of the stage", moves.to_string(), "");
+    }
+    if r.story.frames > 0 {
+        add("frames", r.story.frames.to_string(), "");
+    }
+    if r.story.duration_s > 0.0 {
+        add("instrument time", seconds(r.story.duration_s), "");
+    }
+    out.push_str("</dl>\n");
+    out
+}
+
+fn known(r: &Report<'_>) -> String {
+    let mut out = String::new();
+    let last = r.story.outcome.and_then(|o| o.magnifications.last());
+    let result = last.and_then(|m| match &m.end {
+        ServoEnd::Converged(e) | ServoEnd::IterationLimit(e) | ServoEnd::Diverged(e) => Some(e),
+        ServoEnd::Lost(_) => None,
+    });
+    if let (Some(m), Some(e)) = (last, result) {
+        let frames = r.story.magnifications.last().map_or(0, |m| {
+            m.iterations
+                .iter()
+                .rev()
+                .take_while(|i| i.converged)
+                .count()
+        });
+        let from = if frames > 1 {
+            format!("the last {frames} frames")
+        } else {
+            "the last frame".into()
+        };
+        let _ = write!(
+            out,
+            "Estimated from {from} at {}, compared with the saved view: {} apart over {} agreeing places, known to ±{}; \
+             both added in quadrature.",
+            escape(&m.objective.0),
+            um(e.error.distance_um()),
+            e.inliers,
+            um(e.sigma_um)
+        );
+    }
+    match (r.truth, r.story.outcome.and_then(|o| o.estimated_error_um)) {
+        (Some(t), Some(estimate)) if t.error_um.is_finite() => {
+            let _ = write!(
+                out,
+                " The simulation knows the truth: the view is {} off, the estimate {} it by {}.",
+                um(t.error_um),
+                if estimate >= t.error_um {
+                    "exceeds"
+                } else {
+                    "falls short of"
+                },
+                um((t.error_um - estimate).abs())
+            );
+        }
+        (None, Some(_)) => out.push_str(
+            " This is the program's own measurement; a stage that drifts afterwards is not in it.",
+        ),
+        _ => {}
+    }
+    if out.is_empty() {
+        String::new()
+    } else {
+        format!("<p class=\"known\">{}</p>\n", out.trim_start())
+    }
+}
+
+/// The last view beside the target: what a person would look at to believe it.
+fn comparison(r: &Report<'_>) -> String {
+    let last = r
+        .story
+        .magnifications
+        .last()
+        .and_then(|m| Some((m, *m.frames().last()?)));
+    let mut figures = Vec::new();
+    match last {
+        Some((m, (_, sequence))) if r.gallery.size("blend").is_some() => {
+            let view = r
+                .gallery
+                .figure(&view_name(sequence), "The view at the end of the run", "");
+            let target = r.gallery.figure("target", "The saved view", "");
+            if let (Some(view), Some(target)) = (view, target) {
+                figures.push(format!(
+                    "<figure class=\"wide\"><div class=\"compare\">{target}<div class=\"over-it\">{view}</div>\
+                     <span class=\"left\" aria-hidden=\"true\">saved view</span><span class=\"right\" aria-hidden=\"true\">now</span><i></i>\
+                     <input type=\"range\" min=\"0\" max=\"100\" value=\"50\" aria-label=\"Share of the saved view that is shown\" \
+                     oninput=\"this.parentNode.style.setProperty('--at',this.value+'%')\"/></div>\
+                     <figcaption>Saved view and view at the end ({}). Drag the line.</figcaption></figure>\n",
+                    escape(&m.objective.0)
+                ));
+            }
+            if let Some(blend) = r.gallery.figure(
+                "blend",
+                "Saved view in red and view at the end in cyan; grey where they agree",
+                "",
+            ) {
+                figures.push(format!(
+                    "<figure>{blend}<figcaption>Saved view in red, view at the end in cyan: grey where they agree, fringes where \
+                     they do not.</figcaption></figure>\n"
+                ));
+            }
+        }
+        Some((m, (iteration, sequence))) => {
+            let target_size = r.target_size();
+            let overlay = r.gallery.size(&view_name(sequence)).map(|(w, h)| {
+                let seen = m.by_sequence(sequence);
+                let corners = seen.and_then(|s| outline(s.target_from_view, target_size?));
+                aim(w, h, corners.as_ref())
+            });
+            let view = r.gallery.figure(
+                &view_name(sequence),
+                "The last view of the run",
+                &overlay.unwrap_or_default(),
+            );
+            if let Some(view) = view {
+                let lost = m.lost.iter().find(|l| l.sequence == sequence);
+                let why = lost.map_or(String::new(), |l| {
+                    format!(" Not recognised: {}.", escape(&l.reason))
+                });
+                figures.push(format!(
+                    "<figure>{view}<figcaption>The last view, {} at iteration {iteration}.{why}</figcaption></figure>\n",
+                    escape(&m.objective.0)
+                ));
+            }
+            figures.extend(target_alone(r));
+        }
+        None => {
+            for (name, caption) in [
+                ("sharpest", "The sharpest picture of the last focus sweep."),
+                ("newest", "The last picture of the run."),
+            ] {
+                if let Some(picture) = r.gallery.figure(name, caption, "") {
+                    figures.push(format!(
+                        "<figure>{picture}<figcaption>{caption}</figcaption></figure>\n"
+                    ));
+                }
+            }
+            figures.extend(target_alone(r));
+        }
+    }
+    figures.extend(bullseye(r));
+    if figures.is_empty() {
+        return "<p class=\"none\">No picture of this run was kept.</p>\n".into();
+    }
+    format!("<div class=\"looks\">\n{}</div>\n", figures.concat())
+}
+
+fn target_alone(r: &Report<'_>) -> Option<String> {
+    let target = r.gallery.figure("target", "The saved view", "")?;
+    let objective = r
+        .story
+        .target_objective
+        .map_or(String::new(), |o| format!(", {}", escape(&o.0)));
+    Some(format!(
+        "<figure class=\"goal\">{target}<figcaption>The saved view{objective}.</figcaption></figure>\n"
+    ))
+}
+
+/// Where the view's centre ended around the target's, against one pixel.
+fn bullseye(r: &Report<'_>) -> Option<String> {
+    r.story.outcome?.estimated_error_um?;
+    let step = r.story.last_seen()?;
+    let target = r.target_size()?;
+    let (w, h) = r.gallery.size(&view_name(step.sequence))?;
+    let [x, y] = r.story.offset_um(step, [w, h], target)?;
+    let pixel_um = r.story.target_calibration()?.um_per_px();
+    let sigma_um = step.sigma_px * pixel_um;
+    let truth = r.true_at(step.sequence).map(|t| [t.x_um, t.y_um]);
+    let reach = [
+        x,
+        y,
+        truth.map_or(0.0, |t| t[0]),
+        truth.map_or(0.0, |t| t[1]),
+        pixel_um,
+    ]
+    .into_iter()
+    .filter(|v| v.is_finite())
+    .fold(2.0 * sigma_um, |m, v| m.max(v.abs()));
+    let ring = nice_step(reach / 2.5);
+    let outer = ring * (reach / ring * 1.08).ceil();
+    let side = 236.0;
+    let p = Panel {
+        left: 22.0,
+        top: 10.0,
+        width: side,
+        height: side,
+        x: Scale::exact(-outer, outer),
+        y: Scale::exact(-outer, outer),
+        y_down: true,
+    };
+    let mut c = Canvas::new(
+        side + 34.0,
+        &format!(
+            "The view's centre ended {} from the saved view's",
+            um(x.hypot(y))
+        ),
+    );
+    let unit = side / (2.0 * outer);
+    let [cx, cy] = p.at(0.0, 0.0);
+    let rings = (outer / ring).round() as usize;
+    for k in 1..=rings {
+        let radius = k as f64 * ring * unit;
+        c.raw(&format!(
+            "<circle class=\"grid\" cx=\"{}\" cy=\"{}\" r=\"{}\"/>",
+            Attr(cx),
+            Attr(cy),
+            Attr(radius)
+        ));
+        let decimals = (-ring.log10().floor()).max(0.0) as usize;
+        c.text(
+            "tick mid lift",
+            cx,
+            cy - radius + 4.0,
+            &fixed(k as f64 * ring, decimals),
+        );
+    }
+    let half = pixel_um * unit / 2.0;
+    c.raw(&format!(
+        "<rect class=\"pixel\" x=\"{}\" y=\"{}\" width=\"{2}\" height=\"{2}\"/>",
+        Attr(cx - half),
+        Attr(cy - half),
+        Attr(2.0 * half)
+    ));
+    c.mark("faint", Mark::Plus, cx, cy);
+    let [mx, my] = p.at(x, y);
+    c.raw(&format!(
+        "<circle class=\"sigma\" cx=\"{}\" cy=\"{}\" r=\"{}\"/>",
+        Attr(mx),
+        Attr(my),
+        Attr((sigma_um * unit).max(1.0))
+    ));
+    c.mark("ink", Mark::Dot, mx, my);
+    let mut keys = vec![Key {
+        class: "ink",
+        mark: Some(Mark::Dot),
+        label: "last measurement",
+    }];
+    if let Some([tx, ty]) = truth {
+        let [tx, ty] = p.at(tx, ty);
+        c.mark("truth", Mark::Ring, tx, ty);
+        keys.push(Key {
+            class: "truth",
+            mark: Some(Mark::Ring),
+            label: "truth",
+        });
+    }
+    c.legend(36.0, side + 30.0, &keys);
+    Some(format!(
+        "<figure>{}<figcaption>Where the view's centre ended around the saved view's, µm. The square is one pixel of the \
+         saved view ({} µm); the disc is one standard deviation.</figcaption></figure>\n",
+        c.finish(),
+        short(pixel_um)
+    ))
+}

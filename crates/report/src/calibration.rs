@@ -1,0 +1,286 @@
+//! What was calibrated, how well, and against the truth where it is known.
+
+use crate::TrueCalibration;
+use crate::page::Report;
+use crate::story::Calibrating;
+use crate::svg::{Canvas, Mark, Panel, Scale, WIDTH};
+use crate::text::{count, escape, fixed, group};
+use scopeservo_servo::Calibration;
+use std::fmt::Write as _;
+
+/// How a number is read off a calibration.
+type Reader = fn(&Calibration) -> Option<f64>;
+
+/// One number of a calibration in the unit that people read.
+struct Quantity {
+    name: &'static str,
+    unit: &'static str,
+    value: f64,
+    sigma: Option<f64>,
+    truth: Option<f64>,
+}
+
+pub(crate) fn section(r: &Report<'_>) -> String {
+    if r.story.calibrations.is_empty() {
+        return "<p class=\"none\">The run did not come to a calibration.</p>\n".into();
+    }
+    let mut out = String::from(
+        "<p class=\"lead\">How a pixel of each objective relates to the stage, measured by moving the stage and watching the specimen. \
+         <i>k</i> and φ read the map as in the paper's Eq. (1) and (3); η is where the stage's axis of rotation lies from the \
+         picture's middle. After ± one standard deviation.</p>\n<div class=\"cards\">\n",
+    );
+    for c in &r.story.calibrations {
+        out.push_str(&card(r, c));
+    }
+    out.push_str("</div>\n");
+    out
+}
+
+fn card(r: &Report<'_>, c: &Calibrating<'_>) -> String {
+    let objective = escape(&c.objective.0);
+    let mut out = format!("<article class=\"card\"><h3>{objective}</h3>\n");
+    match c.made {
+        None => {
+            let found = c.shifts_px.iter().flatten().count();
+            let _ = writeln!(
+                out,
+                "<p class=\"none\">This calibration did not succeed: {found} of {} recognised.</p>",
+                count(c.shifts_px.len(), "view")
+            );
+        }
+        Some((calibration, residual_px, views)) => {
+            let truths = r.truth.map_or(&[][..], |t| &t.calibrations);
+            let truth = truths.iter().find(|t| t.objective == c.objective.0);
+            out.push_str(&table(&quantities(calibration, truth)));
+            if calibration.reading().is_none() {
+                out.push_str(
+                    "<p>The camera is mirrored against the stage, or the stage has the other handedness: <i>k</i> and φ do not \
+                     describe this map, and the program uses the map itself.</p>\n",
+                );
+            }
+            let residual = if residual_px.is_finite() {
+                format!(
+                    ", {} px left over (root mean square)",
+                    fixed(residual_px, 3)
+                )
+            } else {
+                String::new()
+            };
+            let _ = writeln!(out, "<p>From {}{residual}.</p>", count(views, "view"));
+        }
+    }
+    out.push_str(&shifts(c));
+    out.push_str("</article>\n");
+    out
+}
+
+fn table(quantities: &[Quantity]) -> String {
+    let truth = quantities.iter().any(|q| q.truth.is_some());
+    let mut out = String::from(
+        "<div class=\"scroll\"><table>\n<thead><tr><th scope=\"col\"></th><th scope=\"col\">measured</th>",
+    );
+    if truth {
+        out.push_str("<th scope=\"col\">truth</th><th scope=\"col\">off by</th>");
+    }
+    out.push_str("</tr></thead>\n<tbody>\n");
+    for q in quantities {
+        let decimals = decimals(q);
+        let sigma = q.sigma.map_or(String::new(), |s| {
+            format!(" <small>± {}</small>", group(s, decimals))
+        });
+        let _ = write!(
+            out,
+            "<tr><th scope=\"row\">{} <small>{}</small></th><td>{}{sigma}</td>",
+            q.name,
+            q.unit,
+            group(q.value, decimals)
+        );
+        if truth {
+            match q.truth {
+                Some(t) => {
+                    let off = match q.sigma {
+                        Some(s) if s > 0.0 => format!("{} σ", fixed(((q.value - t) / s).abs(), 1)),
+                        _ if t != 0.0 => {
+                            format!("{} %", fixed(100.0 * ((q.value - t) / t).abs(), 2))
+                        }
+                        _ => group((q.value - t).abs(), decimals),
+                    };
+                    let _ = write!(out, "<td>{}</td><td>{off}</td>", group(t, decimals));
+                }
+                None => out.push_str("<td></td><td></td>"),
+            }
+        }
+        out.push_str("</tr>\n");
+    }
+    out.push_str("</tbody></table></div>\n");
+    out
+}
+
+/// Two significant digits of the standard deviation, or five of the value.
+fn decimals(q: &Quantity) -> usize {
+    let (size, digits) = match q.sigma {
+        Some(s) if s > 0.0 => (s, 1.0),
+        _ => (q.value.abs().max(1e-9), 4.0),
+    };
+    (digits - size.log10().floor()).clamp(0.0, 6.0) as usize
+}
+
+fn quantities(c: &Calibration, truth: Option<&TrueCalibration>) -> Vec<Quantity> {
+    let mut out = vec![Quantity {
+        name: "pixel",
+        unit: "µm",
+        value: c.um_per_px(),
+        sigma: sigma(c, |c| Some(c.um_per_px())),
+        truth: truth.map(|t| 1e6 / (t.kx_px_per_m * t.ky_px_per_m).abs().sqrt()),
+    }];
+    if let Some(reading) = c.reading() {
+        let phi_deg = reading.phi_rad.to_degrees();
+        // (kx, ky, phi) and (-kx, -ky, phi + 180 deg) are the same map: the truth is read as the measurement is.
+        let truth = truth.map(|t| {
+            let half_turns = ((phi_deg - t.phi_deg) / 180.0).round();
+            let sign = if half_turns % 2.0 == 0.0 { 1.0 } else { -1.0 };
+            [
+                sign * t.kx_px_per_m,
+                sign * t.ky_px_per_m,
+                t.phi_deg + 180.0 * half_turns,
+            ]
+        });
+        let parts: [(&str, &str, Reader); 3] = [
+            ("<i>k</i><sub>x</sub>", "px/mm", |c| {
+                Some(c.reading()?.kx_px_per_m * 1e-3)
+            }),
+            ("<i>k</i><sub>y</sub>", "px/mm", |c| {
+                Some(c.reading()?.ky_px_per_m * 1e-3)
+            }),
+            ("φ", "°", |c| Some(c.reading()?.phi_rad.to_degrees())),
+        ];
+        for (k, (name, unit, of)) in parts.into_iter().enumerate() {
+            let scale = if k < 2 { 1e-3 } else { 1.0 };
+            if let Some(value) = of(c) {
+                out.push(Quantity {
+                    name,
+                    unit,
+                    value,
+                    sigma: sigma(c, of),
+                    truth: truth.map(|t| t[k] * scale),
+                });
+            }
+        }
+    }
+    if let Some(eta) = c.rotation_centre_m {
+        for (k, name) in ["η<sub>x</sub>", "η<sub>y</sub>"].into_iter().enumerate() {
+            let variance = c.covariance.map(|v| v[4 + k][4 + k]);
+            out.push(Quantity {
+                name,
+                unit: "mm",
+                value: eta[k] * 1e3,
+                sigma: variance.filter(|v| *v > 0.0).map(|v| v.sqrt() * 1e3),
+                truth: truth.map(|t| t.eta_mm[k]),
+            });
+        }
+    }
+    out.retain(|q| q.value.is_finite());
+    out
+}
+
+/// Standard deviation of a function of the map: `g^T C g`, its gradient g by central differences.
+fn sigma(c: &Calibration, of: impl Fn(&Calibration) -> Option<f64>) -> Option<f64> {
+    let covariance = c.covariance?;
+    let step = 1e-5 * c.stage_from_pixel.frobenius();
+    let mut gradient = [0.0; 4];
+    for (k, g) in gradient.iter_mut().enumerate() {
+        let at = |sign: f64| {
+            let mut moved = c.clone();
+            moved.stage_from_pixel.0[k / 2][k % 2] += sign * step;
+            of(&moved)
+        };
+        *g = (at(1.0)? - at(-1.0)?) / (2.0 * step);
+    }
+    let variance: f64 = (0..16)
+        .map(|i| gradient[i / 4] * covariance[i / 4][i % 4] * gradient[i % 4])
+        .sum();
+    (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
+}
+
+/// Where the reference picture's middle was seen in each view.
+fn shifts(c: &Calibrating<'_>) -> String {
+    let points: Vec<[f64; 2]> = c.shifts_px.iter().flatten().copied().collect();
+    if points.is_empty() {
+        return String::new();
+    }
+    let lost = c.shifts_px.len() - points.len();
+    let reach = points
+        .iter()
+        .flatten()
+        .filter(|v| v.is_finite())
+        .fold(1.0f64, |m, v| m.max(v.abs()))
+        * 1.12;
+    let height = 150.0;
+    let width = WIDTH - 52.0;
+    let mut p = Panel::wide(
+        24.0,
+        height,
+        Scale::exact(-reach * width / height, reach * width / height),
+        Scale::exact(-reach, reach),
+    );
+    p.y_down = true;
+    let mut canvas = Canvas::new(
+        216.0,
+        &format!(
+            "Displacements of the picture in the calibration views of {}",
+            c.objective
+        ),
+    );
+    p.axes(&mut canvas, "px", "px");
+    for point in &points {
+        p.line(&mut canvas, "faint", &[[0.0, 0.0], *point]);
+    }
+    p.marks(&mut canvas, "calibrate", Mark::Dot, &points);
+    let [x, y] = p.at(0.0, 0.0);
+    canvas.mark("ink", Mark::Plus, x, y);
+    let caption = if lost == 0 {
+        "Displacements seen in the calibration views.".to_string()
+    } else {
+        format!(
+            "Displacements seen in the calibration views; {} not recognised.",
+            count(lost, "view")
+        )
+    };
+    format!(
+        "<figure>{}<figcaption>{caption}</figcaption></figure>\n",
+        canvas.finish()
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scopeservo_geometry::Mat2;
+    use scopeservo_scope::ObjectiveId;
+    use scopeservo_servo::CALIBRATION_SCHEMA;
+
+    #[test]
+    fn a_relative_spread_of_the_map_is_the_same_spread_of_k() {
+        let (kx, ky) = (-1_953_155.0, -1_981_235.0);
+        let map = Mat2([[0.0, -1.0 / ky], [-1.0 / kx, 0.0]]);
+        let mut covariance = [[0.0; 6]; 6];
+        covariance[1][1] = (1e-3 / ky).powi(2);
+        covariance[2][2] = (1e-3 / kx).powi(2);
+        let c = Calibration {
+            schema: CALIBRATION_SCHEMA,
+            objective: ObjectiveId("400x".into()),
+            image_size_px: [640, 480],
+            stage_from_pixel: map,
+            rotation_centre_m: None,
+            covariance: Some(covariance),
+            backlash_m: None,
+            parcentric_offset_m: None,
+            parfocal_offset_m: None,
+        };
+        let s = sigma(&c, |c| Some(c.reading()?.kx_px_per_m)).unwrap();
+        assert!((s / (1e-3 * kx.abs()) - 1.0).abs() < 1e-3, "{s}");
+        let s = sigma(&c, |c| Some(c.um_per_px())).unwrap();
+        let expected = 1e-3 * c.um_per_px() / 2f64.sqrt();
+        assert!((s / expected - 1.0).abs() < 1e-3, "{s}");
+    }
+}

@@ -1,0 +1,85 @@
+//! The focus sweeps.
+
+use crate::page::Report;
+use crate::story::Sweep;
+use crate::svg::{Attr, Canvas, Mark, Panel, Scale};
+use crate::text::{count, escape, fixed};
+use std::fmt::Write as _;
+
+pub(crate) fn section(r: &Report<'_>) -> String {
+    let swept: Vec<_> = r
+        .story
+        .sweeps
+        .iter()
+        .filter(|s| !s.samples.is_empty())
+        .collect();
+    if swept.is_empty() {
+        return "<p class=\"none\">No focus sweep was made: the run did not come to it, or the stage has no height to change.</p>\n"
+            .into();
+    }
+    let mut out = String::from(
+        "<p class=\"lead\">Sharpness (mean size of the Laplacian) at every height that was tried; the ring is where the focus was \
+         taken.</p>\n<div class=\"plots\">\n",
+    );
+    for sweep in swept {
+        out.push_str(&figure(sweep));
+    }
+    out.push_str("</div>\n");
+    out
+}
+
+fn figure(sweep: &Sweep<'_>) -> String {
+    let objective = sweep.objective.map_or("", |o| &o.0);
+    let mut c = Canvas::new(220.0, &format!("Sharpness against height at {objective}"));
+    // In thousandths: short labels.
+    let points: Vec<_> = sweep.samples.iter().map(|s| [s[0], s[1] * 1e3]).collect();
+    let p = Panel::wide(
+        24.0,
+        156.0,
+        Scale::linear(points.iter().map(|s| s[0])),
+        Scale::linear(points.iter().map(|s| s[1]).chain([0.0])),
+    );
+    p.axes(&mut c, "height, µm", "sharpness × 1000");
+    // A pass goes up; a step down starts the next one.
+    for pass in points.chunk_by(|a, b| b[0] >= a[0]) {
+        p.line(&mut c, "faint", pass);
+        p.marks(&mut c, "focus", Mark::Dot, pass);
+    }
+    let caption = match sweep.result {
+        Some(f) => {
+            if let Some(z) = f.z_um {
+                let [x, y] = p.at(z, f.sharpness * 1e3);
+                let _ = write!(
+                    ChosenAt(&mut c),
+                    "<path class=\"line ideal\" d=\"M{0} {1}V{2}\"/>",
+                    Attr(x),
+                    Attr(p.top),
+                    Attr(p.top + p.height)
+                );
+                c.mark("ink", Mark::Ring, x, y);
+            }
+            format!(
+                "focus at {}; sharpness varies by a factor of {} over {}.",
+                f.z_um.map_or("–".into(), |z| format!("{} µm", fixed(z, 2))),
+                fixed(f.contrast, 2),
+                count(f.samples, "frame")
+            )
+        }
+        None => format!("no peak in {}, so no focus.", count(points.len(), "frame")),
+    };
+    format!(
+        "<figure>{}<figcaption><b>{}</b>: {caption}</figcaption></figure>\n",
+        c.finish(),
+        escape(objective)
+    )
+}
+
+/// Lets `write!` reach a canvas.
+struct ChosenAt<'a>(&'a mut Canvas);
+
+impl std::fmt::Write for ChosenAt<'_> {
+    fn write_str(&mut self, s: &str) -> std::fmt::Result {
+        self.0.raw(s);
+        Ok(())
+    }
+}

@@ -1,0 +1,114 @@
+//! The places that view and target share, drawn: why the program believes what it sees.
+
+use crate::page::{Report, view_name};
+use crate::svg::Attr;
+use crate::text::{count, escape, fixed};
+use std::fmt::Write as _;
+
+/// More lines than this are a carpet.
+const SHOWN_PAIRS: usize = 120;
+/// Between the two pictures, as a share of the view's width.
+const GAP: f64 = 0.03;
+
+pub(crate) fn section(r: &Report<'_>) -> String {
+    let mut out = String::new();
+    for m in &r.story.magnifications {
+        let Some(first) = m.iterations.first() else {
+            continue;
+        };
+        let name = view_name(first.sequence);
+        let (Some(view), Some(target)) = (r.gallery.size(&name), r.gallery.size("target")) else {
+            continue;
+        };
+        if first.pairs.is_empty() {
+            continue;
+        }
+        let (svg, shown) = drawing(r, &name, view, target, first.pairs);
+        let share = if shown < first.pairs.len() {
+            format!("; {shown} of them drawn")
+        } else {
+            String::new()
+        };
+        let objective = escape(&m.objective.0);
+        let goal = r
+            .story
+            .target_objective
+            .map_or(String::new(), |o| escape(&o.0));
+        let _ = writeln!(
+            out,
+            "<figure class=\"pairs\"><div class=\"scroll\">{svg}</div><figcaption><b>{objective} to {goal}.</b> First view (left) and \
+             saved view (right): {} among {}{share}.</figcaption></figure>",
+            count(first.inliers, "agreeing place"),
+            count(first.matches, "match").replace("matchs", "matches"),
+        );
+    }
+    if out.is_empty() {
+        return "<p class=\"none\">No view was recognised, so there are no matching places to show.</p>\n".into();
+    }
+    format!(
+        "<p class=\"lead\">Each line joins one place of the specimen in the first view of a magnification and in the saved view. \
+         Places are recognised by their look alone; only those that agree on one shift, turn and scale are kept.</p>\n{out}"
+    )
+}
+
+fn drawing(
+    r: &Report<'_>,
+    name: &str,
+    (w, h): (f64, f64),
+    (tw, th): (f64, f64),
+    pairs: &[[f32; 4]],
+) -> (String, usize) {
+    // Both pictures as high as the view.
+    let scale = h / th;
+    let gap = w * GAP;
+    let right = w + gap;
+    let total = right + tw * scale;
+    let mut chosen: Vec<&[f32; 4]> = pairs
+        .iter()
+        .filter(|p| p.iter().all(|v| v.is_finite()))
+        .collect();
+    // From top to bottom in the target, so that the colours run as the lines do.
+    chosen.sort_by(|a, b| a[3].total_cmp(&b[3]));
+    let n = chosen.len().min(SHOWN_PAIRS);
+    let stride = chosen.len() as f64 / n.max(1) as f64;
+    let mut lines = String::new();
+    let mut dots = String::new();
+    for k in 0..n {
+        let p = chosen[(k as f64 * stride) as usize].map(f64::from);
+        let (x, y) = (
+            right + (p[2] + 0.5) * scale - 0.5,
+            (p[3] + 0.5) * scale - 0.5,
+        );
+        let shade = k * 6 / n;
+        let _ = write!(
+            lines,
+            "<path class=\"pair s{shade}\" d=\"M{} {}L{} {}\"/>",
+            Attr(p[0]),
+            Attr(p[1]),
+            Attr(x),
+            Attr(y)
+        );
+        for (x, y) in [(p[0], p[1]), (x, y)] {
+            let _ = write!(
+                dots,
+                "<circle class=\"end s{shade}\" cx=\"{}\" cy=\"{}\" r=\"{}\"/>",
+                Attr(x),
+                Attr(y),
+                Attr(w * 0.0045)
+            );
+        }
+    }
+    let label = format!("{n} matching places joined by lines between first view and saved view");
+    let svg = format!(
+        "<svg class=\"pic\" role=\"img\" viewBox=\"-0.5 -0.5 {} {}\" aria-label=\"{label}\"><title>{label}</title>{}\
+         <g transform=\"translate({} {}) scale({})\">{}</g>{lines}{dots}</svg>",
+        Attr(total),
+        Attr(h),
+        r.gallery.draw(name),
+        Attr(right + 0.5 * scale - 0.5),
+        Attr(0.5 * scale - 0.5),
+        fixed(scale, 6),
+        r.gallery.draw("target")
+    );
+    (svg, n)
+}

@@ -1,0 +1,324 @@
+//! A list of events read as a story: legs, sweeps, calibrations, magnifications, the end.
+
+use scopeservo_geometry::{Affine2, Vec2};
+use scopeservo_scope::ObjectiveId;
+use scopeservo_servo::{
+    Calibration, Event, FocusResult, FrameRole, Outcome, Phase, PoseError, Stamped,
+};
+
+/// One frame of the servo in which the target was seen.
+pub(crate) struct Iteration<'a> {
+    pub(crate) iteration: usize,
+    pub(crate) sequence: u64,
+    pub(crate) error: &'a PoseError,
+    pub(crate) velocity: &'a PoseError,
+    pub(crate) target_from_view: &'a Affine2,
+    pub(crate) inliers: usize,
+    pub(crate) matches: usize,
+    pub(crate) sigma_px: f64,
+    pub(crate) pairs: &'a [[f32; 4]],
+    pub(crate) converged: bool,
+}
+
+/// One frame in which it was not.
+pub(crate) struct Lost {
+    pub(crate) iteration: usize,
+    pub(crate) sequence: u64,
+    pub(crate) reason: String,
+}
+
+/// The servo at one magnification.
+pub(crate) struct Magnification<'a> {
+    pub(crate) objective: &'a ObjectiveId,
+    pub(crate) calibration: Option<&'a Calibration>,
+    pub(crate) iterations: Vec<Iteration<'a>>,
+    pub(crate) lost: Vec<Lost>,
+}
+
+impl Magnification<'_> {
+    /// (iteration, sequence) of every frame, in order.
+    pub(crate) fn frames(&self) -> Vec<(usize, u64)> {
+        let seen = self.iterations.iter().map(|i| (i.iteration, i.sequence));
+        let lost = self.lost.iter().map(|l| (l.iteration, l.sequence));
+        let mut all: Vec<_> = seen.chain(lost).collect();
+        all.sort_unstable();
+        all
+    }
+
+    pub(crate) fn by_sequence(&self, sequence: u64) -> Option<&Iteration<'_>> {
+        self.iterations.iter().find(|i| i.sequence == sequence)
+    }
+}
+
+/// One focus sweep.
+pub(crate) struct Sweep<'a> {
+    pub(crate) objective: Option<&'a ObjectiveId>,
+    /// (height um, sharpness).
+    pub(crate) samples: Vec<[f64; 2]>,
+    pub(crate) result: Option<&'a FocusResult>,
+}
+
+/// One calibration.
+pub(crate) struct Calibrating<'a> {
+    pub(crate) objective: &'a ObjectiveId,
+    pub(crate) shifts_px: Vec<Option<[f64; 2]>>,
+    /// With its residual in pixels and the views used.
+    pub(crate) made: Option<(&'a Calibration, f64, usize)>,
+}
+
+/// A stretch of time.
+pub(crate) struct Span<'a> {
+    pub(crate) leg: usize,
+    pub(crate) phase: Phase,
+    pub(crate) objective: &'a ObjectiveId,
+    pub(crate) from_s: f64,
+    pub(crate) to_s: f64,
+}
+
+/// The whole run.
+#[derive(Default)]
+pub(crate) struct Story<'a> {
+    pub(crate) engine: Option<(&'a str, &'a str)>,
+    pub(crate) target_objective: Option<&'a ObjectiveId>,
+    pub(crate) spans: Vec<Span<'a>>,
+    pub(crate) sweeps: Vec<Sweep<'a>>,
+    pub(crate) calibrations: Vec<Calibrating<'a>>,
+    pub(crate) magnifications: Vec<Magnification<'a>>,
+    pub(crate) outcome: Option<&'a Outcome>,
+    pub(crate) frames: usize,
+    pub(crate) duration_s: f64,
+}
+
+impl<'a> Story<'a> {
+    pub(crate) fn read(events: &'a [Stamped]) -> Self {
+        let mut story = Self::default();
+        for stamped in events {
+            story.take(stamped);
+        }
+        let start = events.iter().find(
+            |e| !matches!(&e.event, Event::FrameGrabbed { role, .. } if *role == FrameRole::Target),
+        );
+        let (from, to) = (
+            start.map_or(0.0, |e| e.time_s),
+            events.last().map_or(0.0, |e| e.time_s),
+        );
+        if let Some(span) = story.spans.last_mut() {
+            span.to_s = to;
+        }
+        for span in &mut story.spans {
+            span.from_s -= from;
+            span.to_s -= from;
+        }
+        story.duration_s = (to - from).max(0.0);
+        story
+    }
+
+    fn take(&mut self, stamped: &'a Stamped) {
+        match &stamped.event {
+            Event::Started {
+                target_objective,
+                engine,
+                cpu_level,
+                ..
+            } => {
+                self.target_objective = Some(target_objective);
+                self.engine = Some((engine, cpu_level));
+            }
+            Event::PhaseStarted { phase, objective } => {
+                self.phase(*phase, objective, stamped.time_s);
+            }
+            Event::FrameGrabbed { role, .. } => {
+                self.frames += usize::from(*role != FrameRole::Target);
+            }
+            Event::FocusSample { z_um, sharpness } => {
+                self.sweep(None).samples.push([*z_um, *sharpness]);
+            }
+            Event::Focused { objective, result } => {
+                self.sweep(Some(objective)).result = Some(result)
+            }
+            Event::CalibrationView { shift_px, .. } => {
+                if let Some(c) = self.calibrations.last_mut() {
+                    c.shifts_px.push(*shift_px);
+                }
+            }
+            Event::Calibrated {
+                calibration,
+                residual_px,
+                views,
+            } => {
+                let made = Some((calibration, *residual_px, *views));
+                match self.calibrations.last_mut() {
+                    Some(c) if c.made.is_none() && *c.objective == calibration.objective => {
+                        c.made = made;
+                    }
+                    _ => self.calibrations.push(Calibrating {
+                        objective: &calibration.objective,
+                        shifts_px: Vec::new(),
+                        made,
+                    }),
+                }
+            }
+            Event::Iteration {
+                objective,
+                iteration,
+                sequence,
+                error,
+                velocity,
+                target_from_view,
+                inliers,
+                matches,
+                sigma_px,
+                pairs,
+                converged,
+                ..
+            } => self.magnification(objective).iterations.push(Iteration {
+                iteration: *iteration,
+                sequence: *sequence,
+                error,
+                velocity,
+                target_from_view,
+                inliers: *inliers,
+                matches: *matches,
+                sigma_px: *sigma_px,
+                pairs,
+                converged: *converged,
+            }),
+            Event::Lost {
+                objective,
+                iteration,
+                sequence,
+                reason,
+            } => self.magnification(objective).lost.push(Lost {
+                iteration: *iteration,
+                sequence: *sequence,
+                reason: reason.to_string(),
+            }),
+            Event::Finished { outcome } => self.outcome = Some(outcome),
+        }
+    }
+
+    fn phase(&mut self, phase: Phase, objective: &'a ObjectiveId, time_s: f64) {
+        let leg = match self.spans.last_mut() {
+            None => 0,
+            Some(last) => {
+                last.to_s = time_s;
+                last.leg + usize::from(phase == Phase::Switch || *last.objective != *objective)
+            }
+        };
+        self.spans.push(Span {
+            leg,
+            phase,
+            objective,
+            from_s: time_s,
+            to_s: time_s,
+        });
+        match phase {
+            Phase::Switch => {}
+            Phase::Focus => self.sweeps.push(Sweep {
+                objective: Some(objective),
+                samples: Vec::new(),
+                result: None,
+            }),
+            Phase::Calibrate => self.calibrations.push(Calibrating {
+                objective,
+                shifts_px: Vec::new(),
+                made: None,
+            }),
+            Phase::Servo => {
+                let calibration = self.calibration(objective);
+                self.magnifications.push(Magnification {
+                    objective,
+                    calibration,
+                    iterations: Vec::new(),
+                    lost: Vec::new(),
+                });
+            }
+        }
+    }
+
+    /// The sweep under way; a story whose beginning is missing opens one.
+    fn sweep(&mut self, objective: Option<&'a ObjectiveId>) -> &mut Sweep<'a> {
+        if self.sweeps.last().is_none_or(|s| s.result.is_some()) {
+            self.sweeps.push(Sweep {
+                objective,
+                samples: Vec::new(),
+                result: None,
+            });
+        }
+        self.sweeps.last_mut().expect("one was just opened")
+    }
+
+    /// The magnification under way; a story whose beginning is missing opens one.
+    fn magnification(&mut self, objective: &'a ObjectiveId) -> &mut Magnification<'a> {
+        if self
+            .magnifications
+            .last()
+            .is_none_or(|m| m.objective != objective)
+        {
+            let calibration = self.calibration(objective);
+            self.magnifications.push(Magnification {
+                objective,
+                calibration,
+                iterations: Vec::new(),
+                lost: Vec::new(),
+            });
+        }
+        self.magnifications.last_mut().expect("one was just opened")
+    }
+
+    /// The newest calibration of an objective.
+    pub(crate) fn calibration(&self, objective: &ObjectiveId) -> Option<&'a Calibration> {
+        self.calibrations
+            .iter()
+            .rev()
+            .filter_map(|c| c.made.map(|m| m.0))
+            .find(|c| c.objective == *objective)
+    }
+
+    /// The newest calibration of the target's objective.
+    pub(crate) fn target_calibration(&self) -> Option<&'a Calibration> {
+        self.calibration(self.target_objective?)
+    }
+
+    /// Where a view's centre lies from the target's, um along the target picture's columns and rows.
+    pub(crate) fn offset_um(
+        &self,
+        step: &Iteration<'_>,
+        view_px: Vec2,
+        target_px: Vec2,
+    ) -> Option<Vec2> {
+        let um_per_px = self.target_calibration()?.um_per_px();
+        let there = step.target_from_view.apply(centre(view_px));
+        let here = centre(target_px);
+        Some([0, 1].map(|k| (there[k] - here[k]) * um_per_px))
+    }
+
+    /// The last frame in which the target was seen.
+    pub(crate) fn last_seen(&self) -> Option<&Iteration<'a>> {
+        self.magnifications.last()?.iterations.last()
+    }
+
+    pub(crate) fn iterations(&self) -> usize {
+        self.magnifications
+            .iter()
+            .map(|m| m.iterations.len() + m.lost.len())
+            .sum()
+    }
+}
+
+/// The pixel in the middle of a picture of this size.
+pub(crate) fn centre(size: Vec2) -> Vec2 {
+    size.map(|v| (v - 1.0) / 2.0)
+}
+
+/// The target's corners in a view.
+pub(crate) fn outline(target_from_view: &Affine2, target: Vec2) -> Option<[[f64; 2]; 4]> {
+    let view_from_target = target_from_view.inverse()?;
+    let (r, b) = (target[0] - 0.5, target[1] - 0.5);
+    let corners = [[-0.5, -0.5], [r, -0.5], [r, b], [-0.5, b]].map(|p| view_from_target.apply(p));
+    corners
+        .iter()
+        .flatten()
+        .all(|v| v.is_finite())
+        .then_some(corners)
+}

@@ -1,0 +1,143 @@
+//! The paper's Fig. 7: per magnification the views on the way, the target, and the curves.
+
+use crate::page::{Report, view_name};
+use crate::picture::aim;
+use crate::plots;
+use crate::recorder::SHOWN_ITERATIONS;
+use crate::story::{Magnification, outline};
+use crate::text::{count, deg, escape, fixed, um};
+use std::fmt::Write as _;
+
+pub(crate) fn section(r: &Report<'_>) -> String {
+    if r.story.magnifications.is_empty() {
+        return "<p class=\"none\">The run ended before the stage was servoed, so there is no way to show.</p>\n".into();
+    }
+    let mut out = String::from(
+        "<p class=\"lead\">At each magnification the stage takes away a fixed share of the measured error in every iteration. \
+         The dashed frame is the saved view as recognised in the present one; the cross is the middle of the picture.</p>\n",
+    );
+    for m in &r.story.magnifications {
+        let _ = write!(
+            out,
+            "<article>\n<h3>{}</h3>\n<p>{}</p>\n",
+            escape(&m.objective.0),
+            summary(r, m)
+        );
+        out.push_str(&pictures(r, m));
+        out.push_str(&plots::section(r, m));
+        out.push_str(&table(m));
+        out.push_str("</article>\n");
+    }
+    out
+}
+
+fn summary(r: &Report<'_>, m: &Magnification<'_>) -> String {
+    let mut out = count(m.frames().len(), "iteration");
+    if let (Some(first), Some(last)) = (m.iterations.first(), m.iterations.last()) {
+        let _ = write!(
+            out,
+            ", from {} and {} to {} and {}",
+            um(first.error.distance_um()),
+            deg(first.error.angle_deg().abs()),
+            um(last.error.distance_um()),
+            deg(last.error.angle_deg().abs())
+        );
+        if let Some(c) = m.calibration {
+            let _ = write!(out, "; a pixel is {} here", um(c.um_per_px()));
+        }
+        if let Some(t) = r.true_at(last.sequence) {
+            let _ = write!(out, "; truly {} at the end", um(t.error_um));
+        }
+    }
+    out.push('.');
+    if let Some(lost) = m.lost.last() {
+        let _ = write!(
+            out,
+            " In {} the saved view was not recognised; last because of this: {}.",
+            count(m.lost.len(), "frame"),
+            escape(&lost.reason)
+        );
+    }
+    out
+}
+
+fn pictures(r: &Report<'_>, m: &Magnification<'_>) -> String {
+    let target = r.target_size();
+    let frames = m.frames();
+    let last = frames.last().copied();
+    let mut out = String::new();
+    for (iteration, sequence) in frames {
+        if !SHOWN_ITERATIONS.contains(&iteration) && last != Some((iteration, sequence)) {
+            continue;
+        }
+        let name = view_name(sequence);
+        let Some((w, h)) = r.gallery.size(&name) else {
+            continue;
+        };
+        let seen = m.by_sequence(sequence);
+        let corners = seen.and_then(|s| outline(s.target_from_view, target?));
+        let caption = format!(
+            "{iteration}{}",
+            match (last == Some((iteration, sequence)), seen) {
+                (_, None) => ", not recognised",
+                (true, _) => ", the last",
+                _ => "",
+            }
+        );
+        let label = format!("View at {}, iteration {caption}", m.objective);
+        if let Some(svg) = r
+            .gallery
+            .figure(&name, &label, &aim(w, h, corners.as_ref()))
+        {
+            let _ = writeln!(
+                out,
+                "<figure>{svg}<figcaption>iteration {caption}</figcaption></figure>"
+            );
+        }
+    }
+    if out.is_empty() {
+        return "<p class=\"none\">No views of this magnification were kept.</p>\n".into();
+    }
+    if let (Some(svg), Some((_, _))) = (
+        r.gallery.size("target").and_then(|(w, h)| {
+            r.gallery
+                .figure("target", "The saved view", &aim(w, h, None))
+        }),
+        r.gallery.size("target"),
+    ) {
+        let objective = r.story.target_objective.map_or("", |o| &o.0);
+        let _ = writeln!(
+            out,
+            "<figure class=\"goal\">{svg}<figcaption>saved view {}</figcaption></figure>",
+            escape(objective)
+        );
+    }
+    format!("<div class=\"row\">\n{out}</div>\n")
+}
+
+fn table(m: &Magnification<'_>) -> String {
+    if m.iterations.is_empty() {
+        return String::new();
+    }
+    let mut out = String::from(
+        "<details><summary>The numbers</summary><div class=\"scroll\"><table>\n<thead><tr><th scope=\"col\">iteration</th>\
+         <th scope=\"col\">e<sub>x</sub>, µm</th><th scope=\"col\">e<sub>y</sub>, µm</th><th scope=\"col\">e<sub>θ</sub>, °</th>\
+         <th scope=\"col\">agreeing of matches</th><th scope=\"col\">σ, target px</th></tr></thead>\n<tbody>\n",
+    );
+    for i in &m.iterations {
+        let _ = writeln!(
+            out,
+            "<tr><th scope=\"row\">{}{}</th><td>{}</td><td>{}</td><td>{}</td><td>{} of {}</td><td>{}</td></tr>",
+            i.iteration,
+            if i.converged { " ✓" } else { "" },
+            fixed(i.error.t_m[0] * 1e6, 3),
+            fixed(i.error.t_m[1] * 1e6, 3),
+            fixed(i.error.angle_deg(), 4),
+            i.inliers,
+            i.matches,
+            fixed(i.sigma_px, 3)
+        );
+    }
+    out.push_str("</tbody></table></div></details>\n");
+    out
+}

@@ -1,0 +1,259 @@
+//! Pages of made-up runs: well-formed, complete, self-contained, and honest about what is missing.
+
+mod synthetic;
+
+use scopeservo_report::{Context, Recorder, Truth, html, write};
+use std::sync::OnceLock;
+
+/// Made once: pictures of tissue cost more than everything else here.
+fn arrived() -> &'static synthetic::Teller {
+    static RUN: OnceLock<synthetic::Teller> = OnceLock::new();
+    RUN.get_or_init(synthetic::arrived)
+}
+
+fn page() -> String {
+    let run = arrived();
+    html(&run.recorder, Some(&run.truth), &synthetic::context())
+}
+
+/// What holds for every page.
+fn check(page: &str) {
+    balanced(page);
+    assert!(page.len() < 6_000_000, "{} bytes", page.len());
+    let mut visible = without_data(page);
+    for wrong in ["NaN", "inf\"", "inf ", " inf", "-0\"", "undefined"] {
+        assert!(!visible.contains(wrong), "{wrong:?} is in the page");
+    }
+    for outside in ["http:", "https:", "src=", "url(", "@import", "<link"] {
+        assert!(!visible.contains(outside), "{outside:?} is in the page");
+    }
+    // Every picture that is drawn is there, once.
+    while let Some(at) = visible.find("<use href=\"#") {
+        let name: String = visible[at + 12..]
+            .chars()
+            .take_while(|c| *c != '"')
+            .collect();
+        assert_eq!(
+            page.matches(&format!("<image id=\"{name}\"")).count(),
+            1,
+            "{name}"
+        );
+        visible.replace_range(at..at + 12, "");
+    }
+}
+
+/// The page without its pictures' bytes.
+fn without_data(page: &str) -> String {
+    let mut parts = page.split(";base64,");
+    let mut out = parts.next().unwrap_or("").to_string();
+    for part in parts {
+        out.push_str(&part[part.find('"').unwrap_or(0)..]);
+    }
+    out
+}
+
+/// Every element is closed in order, every attribute quoted, every ampersand an entity.
+fn balanced(page: &str) {
+    let body = page.strip_prefix("<!DOCTYPE html>").expect("a doctype");
+    let mut open = Vec::new();
+    let mut rest = body;
+    while let Some(start) = rest.find('<') {
+        let text = &rest[..start];
+        for entity in text.split('&').skip(1) {
+            let end = entity.find(';').expect("an entity ends");
+            assert!(
+                ["amp", "lt", "gt", "quot", "#39"].contains(&&entity[..end]),
+                "{entity:.20}"
+            );
+        }
+        let tag_end = start + rest[start..].find('>').expect("a tag ends");
+        let tag = &rest[start + 1..tag_end];
+        assert_eq!(tag.matches('"').count() % 2, 0, "quotes in <{tag:.80}>");
+        if let Some(name) = tag.strip_prefix('/') {
+            assert_eq!(
+                open.pop().as_deref(),
+                Some(name),
+                "an element is closed out of order"
+            );
+        } else if !tag.ends_with('/') {
+            let name = tag
+                .split_whitespace()
+                .next()
+                .expect("an element has a name");
+            open.push(name.to_string());
+        }
+        rest = &rest[tag_end + 1..];
+    }
+    assert!(open.is_empty(), "left open: {open:?}");
+}
+
+#[test]
+fn an_arrival_shows_everything() {
+    let page = page();
+    check(&page);
+    let shown = without_data(&page);
+    assert!(shown.contains("<h1>Arrived</h1>"));
+    for objective in ["100x", "200x", "400x"] {
+        assert!(shown.contains(&format!("<h3>{objective}</h3>")));
+        for figure in [
+            format!("aria-label=\"View at {objective}, iteration 0\""),
+            format!("aria-label=\"Error in x, y and theta against iteration at {objective}\""),
+            format!("aria-label=\"Velocity in x, y and theta against iteration at {objective}\""),
+            format!(
+                "aria-label=\"Size of the error against iteration at {objective}, logarithmic\""
+            ),
+            format!("aria-label=\"Path of the view&#39;s centre over the specimen at {objective}"),
+            format!("<b>{objective} to 400x.</b>"),
+            format!("aria-label=\"Sharpness against height at {objective}\""),
+            format!("Displacements of the picture in the calibration views of {objective}"),
+        ] {
+            assert!(shown.contains(&figure), "{figure}");
+        }
+    }
+    assert!(!shown.contains("class=\"none\""), "nothing is missing");
+    // Four legs: the target's objective first, for its calibration, then the three.
+    assert_eq!(shown.matches("class=\"leg\"").count(), 4);
+    assert_eq!(shown.matches("class=\"card\"").count(), 4);
+    assert!(shown.contains("off target, truly") && shown.contains(" σ</td>"));
+}
+
+#[test]
+fn without_truth_nothing_is_called_true() {
+    let page = html(&arrived().recorder, None, &synthetic::context());
+    check(&page);
+    let shown = without_data(&page);
+    let body = shown.split("</style>").nth(1).unwrap();
+    for word in ["truly", "truth", "simulation knows"] {
+        assert!(!body.contains(word), "{word}");
+    }
+    assert!(
+        body.contains("the program&#39;s own measurement")
+            || body.contains("program's own measurement")
+    );
+}
+
+#[test]
+fn a_target_that_is_not_found_is_said_and_shown() {
+    let run = synthetic::not_found();
+    let page = html(&run.recorder, None, &synthetic::context());
+    check(&page);
+    let shown = without_data(&page);
+    assert!(shown.contains("<h1>Not found</h1>"));
+    assert!(shown.contains("6 agreeing places among 41 matches could be chance"));
+    assert!(shown.contains("The last view, 100x at iteration 2"));
+    assert!(shown.contains("there is no error to plot"));
+    assert!(shown.contains("no matching places to show"));
+    assert!(!shown.contains("off target, estimated"));
+}
+
+#[test]
+fn without_focus_only_the_sweep_is_shown() {
+    let run = synthetic::no_focus();
+    let page = html(&run.recorder, None, &synthetic::context());
+    check(&page);
+    let shown = without_data(&page);
+    assert!(shown.contains("<h1>Refused</h1>"));
+    assert!(shown.contains("no peak in 17 frames"));
+    assert!(shown.contains("The sharpest picture of the last focus sweep."));
+    for sentence in [
+        "The run ended before the stage was servoed",
+        "The run did not come to a calibration.",
+    ] {
+        assert!(shown.contains(sentence), "{sentence}");
+    }
+}
+
+#[test]
+fn an_empty_record_is_a_page_too() {
+    let page = html(
+        &Recorder::new(),
+        Some(&Truth::default()),
+        &Context::default(),
+    );
+    check(&page);
+    assert!(page.contains("<h1>Unfinished</h1>"));
+    assert!(page.contains("No picture of this run was kept."));
+}
+
+#[test]
+fn every_beginning_of_a_run_is_a_page() {
+    use scopeservo_servo::Sink as _;
+    let events = arrived().recorder.events();
+    for n in (0..events.len()).step_by(23) {
+        let mut recorder = Recorder::new();
+        events[..n].iter().for_each(|e| recorder.event(e.clone()));
+        check(&html(
+            &recorder,
+            Some(&arrived().truth),
+            &synthetic::context(),
+        ));
+        let mut recorder = Recorder::new();
+        events[n..].iter().for_each(|e| recorder.event(e.clone()));
+        check(&html(&recorder, None, &synthetic::context()));
+    }
+}
+
+#[test]
+fn text_from_outside_stays_text() {
+    let evil = "<script>alert(\"1\")</script> & 'more'";
+    let context = Context {
+        title: evil.into(),
+        specimen: evil.into(),
+        instrument: evil.into(),
+        command: evil.into(),
+        version: evil.into(),
+        credit: Some(evil.into()),
+        ..Context::default()
+    };
+    let page = html(&arrived().recorder, None, &context);
+    check(&page);
+    assert!(!page.contains("<script"));
+    assert!(
+        page.contains("&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt; &amp; &#39;more&#39;")
+    );
+}
+
+#[test]
+fn values_that_are_no_numbers_do_not_reach_the_page() {
+    use scopeservo_servo::{Event, Sink as _};
+    let mut recorder = Recorder::new();
+    for stamped in arrived().recorder.events() {
+        let mut stamped = stamped.clone();
+        match &mut stamped.event {
+            Event::Iteration {
+                error,
+                sigma_px,
+                iteration,
+                ..
+            } if *iteration % 2 == 0 => {
+                error.t_m[0] = f64::NAN;
+                *sigma_px = f64::INFINITY;
+            }
+            Event::FocusSample { sharpness, .. } => *sharpness = f64::NAN,
+            Event::Calibrated { residual_px, .. } => *residual_px = f64::INFINITY,
+            _ => {}
+        }
+        recorder.event(stamped);
+    }
+    let truth = Truth {
+        error_um: f64::NAN,
+        ..arrived().truth.clone()
+    };
+    check(&html(&recorder, Some(&truth), &synthetic::context()));
+}
+
+#[test]
+fn a_file_is_written_whole_and_nothing_is_left_beside_it() {
+    let folder = std::env::temp_dir().join(format!("scopeservo-report-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("run.html");
+    write(&path, "first").unwrap();
+    write(&path, "second").unwrap();
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "second");
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
+    // A folder cannot be replaced by a file; what was tried is gone again.
+    std::fs::create_dir(folder.join("taken")).unwrap();
+    assert!(write(&folder.join("taken"), "x").is_err());
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 2);
+    std::fs::remove_dir_all(&folder).unwrap();
+}
