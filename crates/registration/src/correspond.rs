@@ -29,6 +29,9 @@ pub struct RotationPrior {
     pub tolerance_rad: f64,
 }
 
+/// A whole turn.
+const TURN: f32 = std::f32::consts::TAU;
+
 /// What a calibration tells of the transform before the images are looked at.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Prior {
@@ -39,16 +42,24 @@ pub struct Prior {
 }
 
 impl Prior {
-    /// Whether two keypoints may show the same thing.
-    pub(crate) fn admits(&self, view: &Keypoint, target: &Keypoint) -> bool {
-        self.scale.is_none_or(|s| {
-            let ratio = f64::from(target.sigma) / (f64::from(view.sigma) * s.ratio);
+    /// The test whether two keypoints may show the same thing. It runs for every pair of a brute-force match, so what
+    /// can be is computed before, and angles are wrapped by a comparison: they lie in (-pi, pi].
+    pub(crate) fn gate(&self) -> impl Fn(&Keypoint, &Keypoint) -> bool + Sync + use<> {
+        let (least, most) = self.scale.map_or((0.0, f32::INFINITY), |s| {
             let slack = KEYPOINT_SCALE_SLACK * (1.0 + s.tolerance);
-            ratio < slack && ratio > 1.0 / slack
-        }) && self.rotation.is_none_or(|r| {
-            let turn = f64::from(target.angle) - f64::from(view.angle) - r.angle_rad;
-            wrap(turn).abs() < r.tolerance_rad + KEYPOINT_ANGLE_SLACK_RAD
-        })
+            ((s.ratio / slack) as f32, (s.ratio * slack) as f32)
+        });
+        let (angle, off) = self.rotation.map_or((0.0, f32::INFINITY), |r| {
+            let off = r.tolerance_rad + KEYPOINT_ANGLE_SLACK_RAD;
+            (wrap(r.angle_rad) as f32, off as f32)
+        });
+        move |view, target| {
+            let in_scale = target.sigma > least * view.sigma && target.sigma < most * view.sigma;
+            // Up to 3 pi before wrapping.
+            let turn = (target.angle - view.angle - angle).abs();
+            let turn = (turn - TURN).abs().min(turn).min((turn - 2.0 * TURN).abs());
+            in_scale && turn < off
+        }
     }
 
     /// Whether a transform is one that a microscope at this prior can produce: no mirror (SIFT cannot match one), no
@@ -108,7 +119,7 @@ pub fn correspondences(
     prior: &Prior,
     options: &MatchOptions,
 ) -> (Vec<Match>, Vec<Correspondence>) {
-    let matches = match_features_gated(view, target, options, |v, t| prior.admits(v, t));
+    let matches = match_features_gated(view, target, options, prior.gate());
     let ratio = prior.scale.map(|s| s.ratio);
     let pairs = matches
         .iter()
@@ -154,11 +165,17 @@ mod tests {
                 tolerance_rad: 0.1,
             }),
         };
+        let admits = prior.gate();
         // 3.1 rad and -3.1 rad are neighbours across the wrap.
-        assert!(prior.admits(&keypoint(2.0, 0.0), &keypoint(8.5, -3.1)));
-        assert!(!prior.admits(&keypoint(2.0, 0.0), &keypoint(8.5, 1.0)));
-        assert!(!prior.admits(&keypoint(2.0, 0.0), &keypoint(2.0, 3.1)));
-        assert!(Prior::default().admits(&keypoint(1.0, 0.0), &keypoint(50.0, 2.0)));
+        assert!(admits(&keypoint(2.0, 0.0), &keypoint(8.5, -3.1)));
+        assert!(admits(&keypoint(2.0, 3.1), &keypoint(8.5, 0.0)));
+        assert!(admits(&keypoint(2.0, -3.1), &keypoint(8.5, 0.0)));
+        assert!(!admits(&keypoint(2.0, 0.0), &keypoint(8.5, 1.0)));
+        assert!(!admits(&keypoint(2.0, 0.0), &keypoint(2.0, 3.1)));
+        assert!(Prior::default().gate()(
+            &keypoint(1.0, 0.0),
+            &keypoint(50.0, 2.0)
+        ));
     }
 
     #[test]

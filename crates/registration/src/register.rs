@@ -219,13 +219,10 @@ pub fn register(
             transform,
         )
     };
-    let agreeing = |transform: &Affine2, within: f64| -> Vec<usize> {
-        (0..pairs.len())
-            .filter(|&i| residual(transform, &pairs[i]) <= within && coherent_at(transform, i))
-            .collect()
-    };
-    let inliers = agreeing(&rough, threshold);
-    let chosen: Vec<Correspondence> = inliers.iter().map(|&i| pairs[i]).collect();
+    let chosen: Vec<Correspondence> = (0..pairs.len())
+        .filter(|&i| residual(&rough, &pairs[i]) <= threshold && coherent_at(&rough, i))
+        .map(|i| pairs[i])
+        .collect();
     let fit = match polish(&chosen) {
         Some(fit) if prior.allows(&fit.b_from_a) => fit,
         _ => {
@@ -236,21 +233,25 @@ pub fn register(
         }
     };
 
-    // The verdict, on unique places. The narrowest of three radii that makes the agreement least probable is taken;
-    // having tried three costs a factor of three.
-    let places = |indices: &[usize]| {
-        let points: Vec<(Vec2, Vec2)> = indices
-            .iter()
-            .map(|&i| (pairs[i].p_in_a, pairs[i].p_in_b))
-            .collect();
-        let apart_view = PLACE_PX * (coarse_px / typical_ratio);
-        unique_places(&points, apart_view, PLACE_PX * coarse_px)
-            .into_iter()
-            .map(|k| indices[k])
-            .collect::<Vec<usize>>()
-    };
-    let all: Vec<usize> = (0..pairs.len()).collect();
-    let unique = places(&all).len();
+    // The verdict, on unique places: the best-fitting match of each neighbourhood stands for it.
+    let off: Vec<f64> = (0..pairs.len())
+        .map(|i| match coherent_at(&fit.b_from_a, i) {
+            true => residual(&fit.b_from_a, &pairs[i]),
+            false => f64::INFINITY,
+        })
+        .collect();
+    let mut order: Vec<usize> = (0..pairs.len()).collect();
+    order.sort_by(|&i, &j| off[i].total_cmp(&off[j]).then(i.cmp(&j)));
+    let points: Vec<(Vec2, Vec2)> = order
+        .iter()
+        .map(|&i| (pairs[i].p_in_a, pairs[i].p_in_b))
+        .collect();
+    let apart_view = PLACE_PX * (coarse_px / typical_ratio);
+    let places: Vec<usize> = unique_places(&points, apart_view, PLACE_PX * coarse_px)
+        .into_iter()
+        .map(|k| order[k])
+        .collect();
+    let within = |r: f64| places.iter().filter(|&&i| off[i] <= r).count();
     let area = occupied_area(
         target
             .keypoints
@@ -258,16 +259,18 @@ pub fn register(
             .map(|k| [f64::from(k.x), f64::from(k.y)]),
         20.0,
     );
+    // The least probable of three radii counts; having tried three costs a factor of three.
     let radii = [threshold, threshold / 2.0, threshold / 4.0];
     let nfa = radii
         .iter()
         .map(|&r| {
-            let k = places(&agreeing(&fit.b_from_a, r)).len();
             let chance = std::f64::consts::PI * r * r / area * prior.chance_of_coherence();
-            log10_nfa(unique, k, chance) + (radii.len() as f64).log10()
+            log10_nfa(places.len(), within(r), chance) + (radii.len() as f64).log10()
         })
         .fold(f64::INFINITY, f64::min);
-    let final_places = places(&agreeing(&fit.b_from_a, threshold));
+    let mut final_places = places.clone();
+    final_places.retain(|&i| off[i] <= threshold);
+    final_places.sort_unstable();
 
     let (w, h) = (view.width as f64 - 1.0, view.height as f64 - 1.0);
     let corner_sigma_px = [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]]
@@ -277,11 +280,10 @@ pub fn register(
     let outcome = if nfa >= options.false_alarms.log10() {
         Err(NotFound::ByChance {
             inliers: final_places.len(),
-            matches: unique,
+            matches: places.len(),
             log10_nfa: if nfa.is_finite() { nfa } else { 99.0 },
         })
-    } else if corner_sigma_px.is_nan()
-        || corner_sigma_px > options.max_corner_sigma_px * coarse_px
+    } else if corner_sigma_px.is_nan() || corner_sigma_px > options.max_corner_sigma_px * coarse_px
     {
         Err(NotFound::Uncertain { corner_sigma_px })
     } else {

@@ -60,6 +60,9 @@ fn sentence(text: &str) -> String {
     ] {
         out = out.replace(ascii, unit);
     }
+    for digit in '0'..='9' {
+        out = out.replace(&format!(" -{digit}"), &format!(" \u{2212}{digit}"));
+    }
     if !out.ends_with(['.', '!', '?']) {
         out.push('.');
     }
@@ -67,8 +70,9 @@ fn sentence(text: &str) -> String {
 }
 
 fn numbers(r: &Report<'_>) -> String {
-    let mut out = String::from("<dl class=\"numbers\">\n");
-    let mut add = |name: &str, value: String, class: &str| {
+    let mut first = String::new();
+    let mut second = String::new();
+    let add = |out: &mut String, name: &str, value: String, class: &str| {
         let _ = writeln!(
             out,
             "<div class=\"{class}\"><dt>{name}</dt><dd>{}</dd></div>",
@@ -77,18 +81,24 @@ fn numbers(r: &Report<'_>) -> String {
     };
     if let Some(outcome) = r.story.outcome {
         if let Some(v) = outcome.estimated_error_um {
-            add("off target, estimated", um(v), "big");
+            add(&mut first, "off, as measured", um(v), "big");
         }
         if let Some(v) = outcome.estimated_error_deg {
-            add("turned, estimated", deg(v), "big");
+            add(&mut first, "turned, as measured", deg(v), "big");
         }
     }
     if let Some(t) = r.truth.filter(|t| t.error_um.is_finite()) {
-        add("off target, truly", um(t.error_um), "big true");
-        add("turned, truly", deg(t.error_deg.abs()), "big true");
+        add(&mut first, "off in truth", um(t.error_um), "big true");
+        add(
+            &mut first,
+            "turned in truth",
+            deg(t.error_deg.abs()),
+            "big true",
+        );
     }
-    if r.story.iterations() > 0 {
-        add("iterations", r.story.iterations().to_string(), "");
+    let iterations = r.story.iterations();
+    if iterations > 0 {
+        add(&mut second, "iterations", iterations.to_string(), "");
         let moves = r
             .story
             .magnifications
@@ -96,16 +106,24 @@ fn numbers(r: &Report<'_>) -> String {
             .flat_map(|m| &m.iterations)
             .filter(|i| !i.converged)
             .count();
-        add("corrections of the stage", moves.to_string(), "");
+        add(&mut second, "corrections", moves.to_string(), "");
     }
     if r.story.frames > 0 {
-        add("frames", r.story.frames.to_string(), "");
+        add(&mut second, "frames", r.story.frames.to_string(), "");
     }
     if r.story.duration_s > 0.0 {
-        add("instrument time", seconds(r.story.duration_s), "");
+        add(
+            &mut second,
+            "instrument time",
+            seconds(r.story.duration_s),
+            "",
+        );
     }
-    out.push_str("</dl>\n");
-    out
+    [first, second]
+        .into_iter()
+        .filter(|list| !list.is_empty())
+        .map(|list| format!("<dl class=\"numbers\">\n{list}</dl>\n"))
+        .collect()
 }
 
 fn known(r: &Report<'_>) -> String {
@@ -275,8 +293,8 @@ fn bullseye(r: &Report<'_>) -> Option<String> {
     .into_iter()
     .filter(|v| v.is_finite())
     .fold(2.0 * sigma_um, |m, v| m.max(v.abs()));
-    let ring = nice_step(reach / 2.5);
-    let outer = ring * (reach / ring * 1.08).ceil();
+    let ring = nice_step(reach / 3.0);
+    let outer = ring * (reach / ring * 1.02).ceil();
     let side = 236.0;
     let p = Panel {
         left: 22.0,
@@ -332,6 +350,7 @@ fn bullseye(r: &Report<'_>) -> Option<String> {
     let mut keys = vec![Key {
         class: "ink",
         mark: Some(Mark::Dot),
+        line: false,
         label: "last measurement",
     }];
     if let Some([tx, ty]) = truth {
@@ -340,6 +359,7 @@ fn bullseye(r: &Report<'_>) -> Option<String> {
         keys.push(Key {
             class: "truth",
             mark: Some(Mark::Ring),
+            line: false,
             label: "truth",
         });
     }

@@ -101,14 +101,16 @@ fn drawing(
     let label = format!("{n} matching places joined by lines between first view and saved view");
     let svg = format!(
         "<svg class=\"pic\" role=\"img\" viewBox=\"-0.5 -0.5 {} {}\" aria-label=\"{label}\"><title>{label}</title>{}\
-         <g transform=\"translate({} {}) scale({})\">{}</g>{lines}{dots}</svg>",
+         <g transform=\"translate({} {}) scale({})\">{}</g><rect class=\"dim\" x=\"-0.5\" y=\"-0.5\" width=\"{}\" height=\"{}\"/>{lines}{dots}</svg>",
         Attr(total),
         Attr(h),
         r.gallery.draw(name),
         Attr(right + 0.5 * scale - 0.5),
         Attr(0.5 * scale - 0.5),
         fixed(scale, 6),
-        r.gallery.draw("target")
+        r.gallery.draw("target"),
+        Attr(total),
+        Attr(h)
     );
     (svg, n)
 }

@@ -10,17 +10,20 @@ const XY: [Key; 2] = [
     Key {
         class: "x",
         mark: Some(Mark::Dot),
+        line: true,
         label: "x",
     },
     Key {
         class: "y",
         mark: Some(Mark::Square),
+        line: true,
         label: "y",
     },
 ];
 const THETA: [Key; 1] = [Key {
     class: "theta",
     mark: Some(Mark::Triangle),
+    line: true,
     label: "θ",
 }];
 
@@ -184,12 +187,14 @@ fn convergence(r: &Report<'_>, m: &Magnification<'_>, lambda: Option<f64>) -> St
     let mut keys = vec![Key {
         class: "ideal",
         mark: None,
+        line: true,
         label: "expected",
     }];
     if !truths.is_empty() {
         keys.push(Key {
             class: "truth",
             mark: Some(Mark::Ring),
+            line: false,
             label: "truth",
         });
     }
@@ -288,16 +293,19 @@ fn path(r: &Report<'_>, m: &Magnification<'_>) -> Option<(String, String)> {
         Key {
             class: "start",
             mark: Some(Mark::Ring),
+            line: false,
             label: "start",
         },
         Key {
             class: "stop",
             mark: Some(Mark::Square),
+            line: false,
             label: "end",
         },
         Key {
             class: "goal",
             mark: Some(Mark::Plus),
+            line: false,
             label: "saved",
         },
     ];
@@ -305,6 +313,7 @@ fn path(r: &Report<'_>, m: &Magnification<'_>) -> Option<(String, String)> {
         keys.push(Key {
             class: "truth",
             mark: None,
+            line: true,
             label: "truth",
         });
     }

@@ -80,10 +80,19 @@ impl Scale {
         if self.log {
             return self.log_ticks(wanted);
         }
-        let step = nice_step((self.max - self.min) / wanted.max(1) as f64);
-        let decimals = (-step.log10().floor()).max(0.0) as usize;
-        let first = (self.min / step).ceil() as i64;
-        let last = (self.max / step).floor() as i64;
+        // Round steps can be so long that hardly one falls inside.
+        let span = self.max - self.min;
+        let steps = [1.0, 0.5, 0.25, 0.1].map(|f| nice_step(f * span / wanted.max(1) as f64));
+        let inside = |step: f64| {
+            let (first, last) = ((self.min / step).ceil(), (self.max / step).floor());
+            (first as i64, last as i64)
+        };
+        let step = steps
+            .into_iter()
+            .find(|s| inside(*s).1 - inside(*s).0 >= 2)
+            .unwrap_or(steps[1]);
+        let decimals = (-(step * 1.000_001).log10().floor()).max(0.0) as usize;
+        let (first, last) = inside(step);
         (first..=last.min(first + 30))
             .map(|k| {
                 let v = k as f64 * step;
@@ -95,7 +104,7 @@ impl Scale {
     fn log_ticks(&self, wanted: usize) -> Vec<(f64, String)> {
         let (low, high) = (self.min.log10(), self.max.log10());
         let stride = ((high - low) / wanted.max(1) as f64).ceil().max(1.0) as i32;
-        let factors: &[f64] = if high - low < 1.3 {
+        let factors: &[f64] = if high - low < 1.6 {
             &[1.0, 2.0, 5.0]
         } else {
             &[1.0]
@@ -147,6 +156,8 @@ pub(crate) enum Mark {
 pub(crate) struct Key {
     pub(crate) class: &'static str,
     pub(crate) mark: Option<Mark>,
+    /// Whether a line joins the marks.
+    pub(crate) line: bool,
     pub(crate) label: &'static str,
 }
 
@@ -223,7 +234,7 @@ impl Canvas {
     /// Keys in one row from `x` on.
     pub(crate) fn legend(&mut self, mut x: f64, y: f64, keys: &[Key]) {
         for key in keys {
-            if key.mark != Some(Mark::Plus) {
+            if key.line {
                 let _ = write!(
                     self.body,
                     "<path class=\"line {}\" d=\"M{} {}h14\"/>",

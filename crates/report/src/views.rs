@@ -46,7 +46,7 @@ fn summary(r: &Report<'_>, m: &Magnification<'_>) -> String {
             let _ = write!(out, "; a pixel is {} here", um(c.um_per_px()));
         }
         if let Some(t) = r.true_at(last.sequence) {
-            let _ = write!(out, "; truly {} at the end", um(t.error_um));
+            let _ = write!(out, "; in truth {} at the end", um(t.error_um));
         }
     }
     out.push('.');
@@ -98,13 +98,11 @@ fn pictures(r: &Report<'_>, m: &Magnification<'_>) -> String {
     if out.is_empty() {
         return "<p class=\"none\">No views of this magnification were kept.</p>\n".into();
     }
-    if let (Some(svg), Some((_, _))) = (
-        r.gallery.size("target").and_then(|(w, h)| {
-            r.gallery
-                .figure("target", "The saved view", &aim(w, h, None))
-        }),
-        r.gallery.size("target"),
-    ) {
+    let goal = r.gallery.size("target").and_then(|(w, h)| {
+        r.gallery
+            .figure("target", "The saved view", &aim(w, h, None))
+    });
+    if let Some(svg) = goal {
         let objective = r.story.target_objective.map_or("", |o| &o.0);
         let _ = writeln!(
             out,

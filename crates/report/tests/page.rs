@@ -114,7 +114,7 @@ fn an_arrival_shows_everything() {
     // Four legs: the target's objective first, for its calibration, then the three.
     assert_eq!(shown.matches("class=\"leg\"").count(), 4);
     assert_eq!(shown.matches("class=\"card\"").count(), 4);
-    assert!(shown.contains("off target, truly") && shown.contains(" σ</td>"));
+    assert!(shown.contains("off in truth") && shown.contains(" σ</td>"));
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn without_truth_nothing_is_called_true() {
     check(&page);
     let shown = without_data(&page);
     let body = shown.split("</style>").nth(1).unwrap();
-    for word in ["truly", "truth", "simulation knows"] {
+    for word in ["in truth", "in truth", "simulation knows"] {
         assert!(!body.contains(word), "{word}");
     }
     assert!(
@@ -143,7 +143,7 @@ fn a_target_that_is_not_found_is_said_and_shown() {
     assert!(shown.contains("The last view, 100x at iteration 2"));
     assert!(shown.contains("there is no error to plot"));
     assert!(shown.contains("no matching places to show"));
-    assert!(!shown.contains("off target, estimated"));
+    assert!(!shown.contains("off, as measured"));
 }
 
 #[test]
