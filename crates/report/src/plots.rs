@@ -35,7 +35,8 @@ pub(crate) fn section(r: &Report<'_>, m: &Magnification<'_>) -> String {
     let mut figures = vec![
         (
             motion(m, "Error", "", |i| *i.error),
-            "Error <b>e</b>: where the view stands from the saved view.".to_string(),
+            "Error <b>e</b>: where the view stands from the saved view, in the camera's axes."
+                .to_string(),
         ),
         (
             motion(m, "Velocity", " / iteration", |i| *i.velocity),
