@@ -289,7 +289,7 @@ impl Reposition {
                 let message = format!(
                     "the saved view is back, {:.2} um and {:.4} deg off by its own measurement",
                     result.error.distance_um(),
-                    result.error.angle_deg()
+                    result.error.angle_deg().abs()
                 );
                 Some(self.outcome(Verdict::Arrived, Reason::Converged, message))
             }

@@ -1,7 +1,8 @@
 //! A simulated microscope over tissue, ready to be studied.
 
 use scopeservo_scope::{
-    CancelToken, CheckedStage, Clock, Instrument, Limits, ObjectiveId, ScopeError, VirtualClock,
+    Angle, CancelToken, CheckedStage, Clock, Instrument, Length, Limits, ObjectiveId, ScopeError,
+    StagePose, VirtualClock,
 };
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Calibration, Focus, FocusOptions, NoSink, ServoError,
@@ -29,6 +30,21 @@ impl Bench {
         let twin = make(config, seed, clock.clone())?;
         let scope = instrument(&twin, clock)?;
         Ok(Self { twin, scope })
+    }
+
+    /// Moves x, y and rotation to zero.
+    ///
+    /// # Errors
+    /// Those of the instrument.
+    pub fn home(&self) -> Result<(), ScopeError> {
+        let zero = StagePose {
+            x: Some(Length::from_um(0.0)),
+            y: Some(Length::from_um(0.0)),
+            rz: Some(Angle::from_deg(0.0)),
+            ..StagePose::default()
+        };
+        self.scope.move_to(&zero)?;
+        Ok(())
     }
 
     /// Brings `objective` in and focuses.
