@@ -272,12 +272,13 @@ impl Calibrate {
     fn finish(&self, scope: &Instrument) -> Result<(Calibration, f64), ServoError> {
         let info = scope.stage().info();
         let reference = self.reference_pose.ok_or_else(no_reference)?;
-        let solve = |reference: &PlanarPose, t: &[Observation], r: &[Observation]| {
-            solve_hand_eye(info.kinematics, reference, t, r)
-        };
-        let (pixel_from_stage, eta, residual_px) =
-            solve(&reference, &self.translations, &self.rotations)
-                .ok_or_else(|| self.too_few(self.translations.len(), NEEDED))?;
+        let (pixel_from_stage, eta, residual_px) = solve_hand_eye(
+            info.kinematics,
+            &reference,
+            &self.translations,
+            &self.rotations,
+        )
+        .ok_or_else(|| self.too_few(self.translations.len(), NEEDED))?;
         let stage_from_pixel = pixel_from_stage
             .inverse()
             .ok_or_else(|| self.too_few(self.translations.len(), NEEDED))?;
@@ -294,11 +295,11 @@ impl Calibrate {
             stage_from_pixel,
             rotation_centre_m: eta,
             covariance: covariance(
+                info.kinematics,
                 &reference,
                 &self.translations,
                 &self.rotations,
                 pose_sigma,
-                &solve,
             ),
             backlash_m: None,
             parcentric_offset_m: None,
@@ -363,46 +364,46 @@ pub fn solve_hand_eye(
 
     let mut sum_sq = 0.0;
     for o in translations.iter().chain(rotations) {
-        let motion = motion_between(kinematics, reference, &o.pose);
         let eta = eta.unwrap_or([0.0; 2]);
-        let turned = Mat2::rotation(motion.alpha_rad) * eta;
-        let moved = [0, 1].map(|k| turned[k] - eta[k] + motion.d_m[k]);
-        let predicted = pixel_from_stage * moved;
-        sum_sq += (0..2)
-            .map(|k| (predicted[k] - o.b_px[k]).powi(2))
-            .sum::<f64>();
+        let predicted = predicted_b(kinematics, reference, &o.pose, pixel_from_stage, eta);
+        sum_sq += (predicted[0] - o.b_px[0]).powi(2) + (predicted[1] - o.b_px[1]).powi(2);
     }
     let count = 2 * (translations.len() + rotations.len());
     Some((pixel_from_stage, eta, (sum_sq / count as f64).sqrt()))
 }
 
-type Solve<'a> =
-    dyn Fn(&PlanarPose, &[Observation], &[Observation]) -> Option<(Mat2, Option<Vec2>, f64)> + 'a;
+/// b that a calibration predicts for a stage at `pose`: Eq. (12) over a general map.
+fn predicted_b(
+    kinematics: Kinematics,
+    reference: &PlanarPose,
+    pose: &PlanarPose,
+    pixel_from_stage: Mat2,
+    eta: Vec2,
+) -> Vec2 {
+    let motion = motion_between(kinematics, reference, pose);
+    let turned = Mat2::rotation(motion.alpha_rad) * eta;
+    pixel_from_stage * [0, 1].map(|k| turned[k] - eta[k] + motion.d_m[k])
+}
 
-/// Covariance of (stage_from_pixel, rotation centre) by first-order propagation of the stage's repeatability (at every
-/// place, the reference included) and of the registration noise through the solver itself.
+/// Covariance of (stage_from_pixel, rotation centre) by first-order propagation through the solver itself: of the
+/// stage's repeatability at every place, the reference included (`pose_sigma`: m, m, rad), which changes what is seen
+/// but not what is reported, and of the registration noise.
 fn covariance(
+    kinematics: Kinematics,
     reference: &PlanarPose,
     translations: &[Observation],
     rotations: &[Observation],
     pose_sigma: [f64; 3],
-    solve: &Solve<'_>,
 ) -> Option<[[f64; 6]; 6]> {
-    let parameters = |r: &PlanarPose, t: &[Observation], o: &[Observation]| {
-        let (p, eta, _) = solve(r, t, o)?;
-        let m = p.inverse()?.0;
-        let eta = eta.unwrap_or([0.0; 2]);
+    let (p, eta, _) = solve_hand_eye(kinematics, reference, translations, rotations)?;
+    let parameters = |t: &[Observation], r: &[Observation]| {
+        let (p, eta, _) = solve_hand_eye(kinematics, reference, t, r)?;
+        let (m, eta) = (p.inverse()?.0, eta.unwrap_or([0.0; 2]));
         Some([m[0][0], m[0][1], m[1][0], m[1][1], eta[0], eta[1]])
     };
-    let base = parameters(reference, translations, rotations)?;
-    let mut out = [[0.0; 6]; 6];
-    let mut add = |moved: [f64; 6]| {
-        let change: [f64; 6] = std::array::from_fn(|i| moved[i] - base[i]);
-        for i in 0..6 {
-            for j in 0..6 {
-                out[i][j] += change[i] * change[j];
-            }
-        }
+    let base = parameters(translations, rotations)?;
+    let seen = |reference: &PlanarPose, pose: &PlanarPose| {
+        predicted_b(kinematics, reference, pose, p, eta.unwrap_or([0.0; 2]))
     };
     let nudged = |pose: &PlanarPose, k: usize| {
         let mut pose = *pose;
@@ -412,21 +413,48 @@ fn covariance(
         }
         pose
     };
+    let mut out = [[0.0; 6]; 6];
+    let mut add = |change_of_b: &dyn Fn(usize, &Observation) -> Vec2| {
+        let count = translations.len();
+        let with = |first: usize, list: &[Observation]| -> Vec<Observation> {
+            let changed = list.iter().enumerate().map(|(i, o)| {
+                let change = change_of_b(first + i, o);
+                Observation {
+                    b_px: [o.b_px[0] + change[0], o.b_px[1] + change[1]],
+                    ..*o
+                }
+            });
+            changed.collect()
+        };
+        let moved = parameters(&with(0, translations), &with(count, rotations))?;
+        for i in 0..6 {
+            for j in 0..6 {
+                out[i][j] += (moved[i] - base[i]) * (moved[j] - base[j]);
+            }
+        }
+        Some(())
+    };
+    let difference = |a: Vec2, b: Vec2| [a[0] - b[0], a[1] - b[1]];
     for k in 0..3 {
-        add(parameters(&nudged(reference, k), translations, rotations)?);
+        // The reference frame was taken a little elsewhere: every view is displaced.
+        add(&|_, o| {
+            difference(
+                seen(&nudged(reference, k), &o.pose),
+                seen(reference, &o.pose),
+            )
+        })?;
     }
     for index in 0..translations.len() + rotations.len() {
         for k in 0..5 {
-            let (mut t, mut r) = (translations.to_vec(), rotations.to_vec());
-            let o = match t.get_mut(index) {
-                Some(o) => o,
-                None => &mut r[index - translations.len()],
-            };
-            match k {
-                0..3 => o.pose = nudged(&o.pose, k),
-                _ => o.b_px[k - 3] += o.sigma_px,
-            }
-            add(parameters(reference, &t, &r)?);
+            add(&|i, o| match k {
+                _ if i != index => [0.0; 2],
+                0..3 => difference(
+                    seen(reference, &nudged(&o.pose, k)),
+                    seen(reference, &o.pose),
+                ),
+                3 => [o.sigma_px, 0.0],
+                _ => [0.0, o.sigma_px],
+            })?;
         }
     }
     Some(out)
@@ -503,11 +531,9 @@ mod tests {
         p: Mat2,
         eta: Vec2,
     ) -> Observation {
-        let m = motion_between(kinematics, reference, &pose);
-        let turned = Mat2::rotation(m.alpha_rad) * eta;
         Observation {
             pose,
-            b_px: p * [0, 1].map(|k| turned[k] - eta[k] + m.d_m[k]),
+            b_px: predicted_b(kinematics, reference, &pose, p, eta),
             sigma_px: 0.03,
         }
     }
@@ -556,6 +582,55 @@ mod tests {
                 }
                 assert!(residual < 1e-6);
             }
+        }
+    }
+
+    #[test]
+    fn the_covariance_is_the_scatter_of_a_noisy_stage() {
+        let kinematics = Kinematics::MovesMicroscope;
+        let (p, eta) = (Mat2([[-3000.0, -1.9e6], [1.95e6, -2500.0]]), [0.125, 0.001]);
+        let home = PlanarPose {
+            x_m: [0.0; 2],
+            theta_rad: 0.0,
+        };
+        let sigma = [1e-7, 1e-7, 2e-6];
+        let mut rng = scopeservo_geometry::SplitMix64::new(4);
+        let mut wrong = |pose: &PlanarPose| PlanarPose {
+            x_m: [0, 1].map(|k| pose.x_m[k] + sigma[k] * rng.normal()),
+            theta_rad: pose.theta_rad + sigma[2] * rng.normal(),
+        };
+        let (mut sum_sq, mut expected) = ([0.0; 6], [0.0; 6]);
+        for _ in 0..400 {
+            let reference = wrong(&home);
+            let mut seen = |x_m: Vec2, theta_rad: f64| {
+                let pose = PlanarPose { x_m, theta_rad };
+                Observation {
+                    pose,
+                    b_px: predicted_b(kinematics, &reference, &wrong(&pose), p, eta),
+                    sigma_px: 0.0,
+                }
+            };
+            let t: Vec<_> = DIRECTIONS
+                .iter()
+                .map(|d| seen(d.map(|v| v * 80e-6), 0.0))
+                .collect();
+            let r = [8e-4, -8e-4].map(|a| seen([0.0; 2], a));
+            let (p_hat, eta_hat, _) = solve_hand_eye(kinematics, &home, &t, &r).unwrap();
+            let (m, m_hat) = (p.inverse().unwrap().0, p_hat.inverse().unwrap().0);
+            let eta_hat = eta_hat.unwrap();
+            let covariance = covariance(kinematics, &home, &t, &r, sigma).unwrap();
+            for i in 0..6 {
+                let off = match i {
+                    0..4 => m_hat[i / 2][i % 2] - m[i / 2][i % 2],
+                    _ => eta_hat[i - 4] - eta[i - 4],
+                };
+                sum_sq[i] += off * off;
+                expected[i] += covariance[i][i];
+            }
+        }
+        for i in 0..6 {
+            let ratio = (sum_sq[i] / expected[i]).sqrt();
+            assert!((0.85..1.15).contains(&ratio), "parameter {i}: {ratio}");
         }
     }
 

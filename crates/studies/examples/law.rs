@@ -2,9 +2,12 @@
 //!
 //! `cargo run --release -p scopeservo-studies --example law -- [SEED]`
 //!
-//! At each magnification the view starts 100 um and 4 deg off a 400x target and runs 45 iterations without a convergence
+//! At each magnification the view starts 100 um and 1.5 deg off a 400x target and runs 45 iterations without a convergence
 //! test. The slope of log |e| is fitted while e is above ten times its floor (the median of the last ten). Exit code 1 when
 //! a slope is more than 10 % from log 0.8.
+//!
+//! The angle is kept small because the error of the calibrated rotation centre (0.2 mm at 400x) turns part of each
+//! rotation into translation: from 4 deg at 400x the distance falls with 0.90 to 0.93 of log 0.8.
 
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
@@ -59,7 +62,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         bench.twin.centre_specimen(place_um, 0.0);
         bench.focus(objective)?;
         let view_calibration = bench.calibrate(objective)?;
-        bench.twin.remount(place_um, [80.0, -60.0], 4.0, false);
+        bench.twin.remount(place_um, [80.0, -60.0], 1.5, false);
         let task = ServoTask {
             target: &target,
             view_calibration: &view_calibration,
