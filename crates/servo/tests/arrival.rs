@@ -1,0 +1,161 @@
+//! Whole runs on the simulated microscope: they arrive on every kind of stage, and say so only when it is true.
+
+mod common;
+
+use common::{Bench, PLACE_UM, bench, bench_over, one_objective, options, run_through_json};
+use scopeservo_scope::{Axis, AxisRange, Kinematics};
+use scopeservo_servo::{Reason, Reposition, Verdict};
+use scopeservo_twin::{Config, StageConfig, StageFault};
+
+/// Saves a view, puts the slide back 45 um away and turned, and comes back.
+fn come_back(config: Config, turn_deg: f64) -> (Verdict, (f64, f64), String) {
+    let bench = bench(config);
+    let (target, truth) = bench.save();
+    bench.twin.remount(PLACE_UM, [38.0, -24.0], turn_deg, false);
+    let outcome = bench.reposition(target).unwrap();
+    (outcome.verdict, bench.error_from(&truth), outcome.message)
+}
+
+fn assert_arrives(config: Config, turn_deg: f64) {
+    let name = format!("{:?} {}", config.stage.kinematics, config.stage.name);
+    let (verdict, (um, deg), message) = come_back(config, turn_deg);
+    assert_eq!(verdict, Verdict::Arrived, "{name}: {message}");
+    assert!(um <= 1.0 && deg <= 0.02, "{name}: {um} um, {deg} deg");
+}
+
+#[test]
+fn it_arrives_whichever_side_moves() {
+    assert_arrives(one_objective(), 3.0);
+    for kinematics in [
+        Kinematics::SpecimenRotationOnTop,
+        Kinematics::SpecimenXyOnTop,
+    ] {
+        let stage = StageConfig {
+            kinematics,
+            ..StageConfig::xyz_theta()
+        };
+        assert_arrives(one_objective().with_stage(stage), -3.0);
+    }
+}
+
+#[test]
+fn it_arrives_with_a_mirrored_camera() {
+    let mut config = one_objective();
+    config.mount.mirrored = true;
+    config.mount.phi_deg = 31.0;
+    assert_arrives(config, 2.0);
+}
+
+#[test]
+fn without_a_rotation_axis_it_arrives_in_translation_and_tells_the_angle_left() {
+    for stage in [StageConfig::xyz(), StageConfig::xy()] {
+        let bench = bench(one_objective().with_stage(stage));
+        let (target, truth) = bench.save();
+        bench.twin.remount(PLACE_UM, [38.0, -24.0], 1.5, false);
+        let outcome = bench.reposition(target).unwrap();
+        assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
+        let (um, deg) = bench.error_from(&truth);
+        assert!(um <= 1.0, "{um} um");
+        let told = outcome.estimated_error_deg.unwrap();
+        assert!(
+            (deg - 1.5).abs() < 0.02 && (told - 1.5).abs() < 0.02,
+            "{deg} {told}"
+        );
+    }
+}
+
+#[test]
+fn a_run_stored_and_restored_at_every_step_ends_as_if_it_had_not_been() {
+    let go = |through_json: bool| {
+        let bench = bench(one_objective());
+        let (target, _) = bench.save();
+        bench.twin.remount(PLACE_UM, [38.0, -24.0], 3.0, false);
+        if through_json {
+            run_through_json(Reposition::new(target, options()), &bench.scope)
+        } else {
+            bench.reposition(target).unwrap()
+        }
+    };
+    assert_eq!(go(false), go(true));
+}
+
+fn refused(bench: &Bench, reason: Reason) {
+    let (target, _) = bench.save();
+    bench.twin.remount(PLACE_UM, [38.0, -24.0], 3.0, false);
+    let outcome = bench.reposition(target).unwrap();
+    assert_eq!(
+        (outcome.verdict, outcome.reason),
+        (Verdict::Refused, reason),
+        "{}",
+        outcome.message
+    );
+}
+
+#[test]
+fn a_way_past_the_limits_is_refused_and_stays_inside() {
+    // 3 deg about the view's centre needs 6.5 mm; 2 mm are allowed.
+    let ranges = vec![AxisRange {
+        axis: Axis::Y,
+        min: -2e-3,
+        max: 2e-3,
+    }];
+    let bench = bench_over(
+        one_objective(),
+        std::sync::Arc::new(scopeservo_twin::specimen::Tissue::new(7)),
+        ranges,
+    );
+    refused(&bench, Reason::OutsideLimits);
+    let y = bench.scope.stage().position().unwrap().y.unwrap().m();
+    assert!(y.abs() <= 2e-3);
+}
+
+#[test]
+fn another_slide_is_not_found() {
+    let bench = bench(one_objective());
+    let (target, _) = bench.save();
+    bench
+        .twin
+        .replace_specimen(std::sync::Arc::new(scopeservo_twin::specimen::Tissue::new(
+            8,
+        )));
+    let outcome = bench.reposition(target).unwrap();
+    assert_eq!(
+        (outcome.verdict, outcome.reason),
+        (Verdict::NotFound, Reason::TargetNotInView),
+        "{}",
+        outcome.message
+    );
+}
+
+#[test]
+fn a_stage_that_only_claims_to_move_never_arrives() {
+    for axis in [Axis::X, Axis::Rz] {
+        let bench = bench(one_objective());
+        let (target, truth) = bench.save();
+        bench.twin.remount(PLACE_UM, [38.0, -24.0], 3.0, false);
+        bench
+            .twin
+            .fault(StageFault::StuckAxis { axis, stuck: true });
+        let outcome = bench.reposition(target).unwrap();
+        assert_ne!(
+            outcome.verdict,
+            Verdict::Arrived,
+            "{axis}: {:?}",
+            bench.error_from(&truth)
+        );
+    }
+}
+
+#[test]
+fn losing_steps_on_the_way_is_made_good() {
+    let bench = bench(one_objective());
+    let (target, truth) = bench.save();
+    bench.twin.remount(PLACE_UM, [38.0, -24.0], 3.0, false);
+    bench.twin.fault(StageFault::LostSteps {
+        axis: Axis::X,
+        si: 20e-6,
+    });
+    let outcome = bench.reposition(target).unwrap();
+    assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
+    assert!(bench.error_from(&truth).0 <= 1.0);
+}

@@ -1,0 +1,116 @@
+//! What must hold when things go wrong or someone wants to stop.
+
+mod common;
+
+use common::{Listener, PLACE_UM, bench, bench_over, one_objective, options};
+use scopeservo_geometry::Mat2;
+use scopeservo_scope::{Motion, ScopeError};
+use scopeservo_servo::{
+    Calibrate, CalibrateOptions, Event, Focus, FocusOptions, NoSink, Progress, Reposition, Servo,
+    ServoEnd, ServoError, ServoOptions, ServoTask, VisionOptions, run,
+};
+use scopeservo_twin::specimen::Blank;
+use std::sync::Arc;
+
+#[test]
+fn a_stop_ends_the_run_with_the_stage_at_rest_wherever_it_comes() {
+    // After the first calibration view, and in the second iteration of the servo.
+    type Wanted = fn(&Event) -> bool;
+    let moments: [Wanted; 2] = [
+        |e| matches!(e, Event::CalibrationView { index: 0, .. }),
+        |e| matches!(e, Event::Iteration { iteration: 1, .. }),
+    ];
+    for wanted in moments {
+        let bench = bench(one_objective());
+        let (target, _) = bench.save();
+        bench.twin.remount(PLACE_UM, [38.0, -24.0], 3.0, false);
+        let cancel = bench.cancel.clone();
+        let mut after = 0;
+        let mut sink = Listener(|event: &Event| {
+            after += usize::from(cancel.is_cancelled());
+            if wanted(event) {
+                cancel.cancel();
+            }
+        });
+        let ended = run(
+            &mut Reposition::new(target, options()),
+            &bench.scope,
+            &mut sink,
+        );
+        assert!(
+            matches!(
+                ended,
+                Err(ServoError::Scope(ScopeError::Interrupted { .. }))
+            ),
+            "{ended:?}"
+        );
+        assert_ne!(bench.scope.stage().poll().unwrap(), Motion::Moving);
+        assert_eq!(after, 0, "something was done after the stop");
+    }
+}
+
+#[test]
+fn over_blank_glass_focus_says_so_and_goes_back() {
+    let bench = bench_over(one_objective(), Arc::new(Blank), Vec::new());
+    let before = bench.scope.stage().position().unwrap().z.unwrap().um();
+    let objective = bench.scope.nosepiece().objectives()[0].clone();
+    let ended = run(
+        &mut Focus::new(objective, FocusOptions::default()),
+        &bench.scope,
+        &mut NoSink,
+    );
+    assert!(
+        matches!(ended, Err(ServoError::NoFocus { .. })),
+        "{ended:?}"
+    );
+    let after = bench.scope.stage().position().unwrap().z.unwrap().um();
+    assert!((after - before).abs() < 0.5, "{before} {after}");
+}
+
+#[test]
+fn a_calibration_with_the_wrong_sign_is_stopped_before_it_runs_away() {
+    let bench = bench(one_objective());
+    let objective = bench.scope.nosepiece().objectives()[0].clone();
+    let vision = VisionOptions::default();
+    let (target, truth) = bench.save();
+    let mut calibrate = Calibrate::new(objective, CalibrateOptions::default(), vision.clone());
+    let good = run(&mut calibrate, &bench.scope, &mut NoSink).unwrap();
+    let mut wrong = good.clone();
+    wrong.stage_from_pixel = Mat2([[-1.0, 0.0], [0.0, -1.0]]) * good.stage_from_pixel;
+    // The camera axes of the reading turn with the sign, so the servo sees a sound image and a stage that runs off.
+    bench.twin.remount(PLACE_UM, [20.0, 10.0], 0.0, false);
+    let options = ServoOptions::default();
+    let task = ServoTask {
+        target: &target,
+        view_calibration: &wrong,
+        target_calibration: &wrong,
+        vision: &vision,
+        options: &options,
+    };
+    let mut servo = Servo::default();
+    let end = loop {
+        if let Progress::Done(end) = servo.step(&task, &bench.scope, &mut NoSink).unwrap() {
+            break end;
+        }
+    };
+    assert!(matches!(end, ServoEnd::Diverged(_)), "{end:?}");
+    let (um, _) = bench.error_from(&truth);
+    assert!(um < 120.0, "it ran {um} um before it was stopped");
+}
+
+#[test]
+fn the_iteration_limit_is_an_answer_not_an_arrival() {
+    let bench = bench(one_objective());
+    let (target, _) = bench.save();
+    bench.twin.remount(PLACE_UM, [38.0, -24.0], 3.0, false);
+    let mut options = options();
+    options.servo.max_iterations = 2;
+    let outcome = run(
+        &mut Reposition::new(target, options),
+        &bench.scope,
+        &mut NoSink,
+    )
+    .unwrap();
+    assert_eq!(outcome.reason, scopeservo_servo::Reason::IterationLimit);
+    assert!(outcome.estimated_error_um.unwrap() > 0.5);
+}
