@@ -88,7 +88,8 @@ pub struct ServoResult {
     pub inliers: usize,
     /// The last error; the mean over the confirming frames after convergence.
     pub error: PoseError,
-    /// Standard deviation of the error's distance, um, from the registration's covariance.
+    /// Standard deviation of the error's distance, um: of the registration, and after convergence of the confirming frames
+    /// among themselves (vibration, drift).
     pub sigma_um: f64,
 }
 
@@ -215,9 +216,10 @@ impl Servo {
             iterations: self.iteration + 1,
             inliers: registration.inliers,
             error,
-            sigma_um: estimate.sigma_px
-                * std::f64::consts::SQRT_2
-                * task.target_calibration.um_per_px(),
+            sigma_um: f64::hypot(
+                estimate.sigma_px * std::f64::consts::SQRT_2 * task.target_calibration.um_per_px(),
+                scatter_um(&self.passed),
+            ),
         };
         let far = 10.0 * task.view_calibration.um_per_px() * 1e-6;
         if self.passed.len() >= options.confirmations.max(1) {
@@ -274,5 +276,33 @@ fn mean(errors: &[PoseError]) -> PoseError {
     PoseError {
         t_m: [sum(&|e| e.t_m[0]), sum(&|e| e.t_m[1])],
         theta_rad: sum(&|e| e.theta_rad),
+    }
+}
+
+/// Root mean square distance of the errors from their mean, um; zero for fewer than two.
+fn scatter_um(errors: &[PoseError]) -> f64 {
+    if errors.len() < 2 {
+        return 0.0;
+    }
+    let middle = mean(errors);
+    let off_sq =
+        |e: &PoseError| (e.t_m[0] - middle.t_m[0]).powi(2) + (e.t_m[1] - middle.t_m[1]).powi(2);
+    let sum_sq: f64 = errors.iter().map(off_sq).sum();
+    (sum_sq / (errors.len() - 1) as f64).sqrt() * 1e6
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scatter_is_the_spread_of_confirming_frames() {
+        let at = |x_um: f64, y_um: f64| PoseError {
+            t_m: [x_um * 1e-6, y_um * 1e-6],
+            theta_rad: 0.0,
+        };
+        assert_eq!(scatter_um(&[at(3.0, 4.0)]), 0.0);
+        let two = scatter_um(&[at(0.3, 0.4), at(0.0, 0.0)]);
+        assert!((two - 0.5 / 2f64.sqrt()).abs() < 1e-12, "{two}");
     }
 }
