@@ -115,3 +115,14 @@ pub(crate) fn features(
 pub(crate) fn centre_px(width: usize, height: usize) -> [f64; 2] {
     [(width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_centre_lies_between_the_middle_pixels() {
+        assert_eq!(centre_px(640, 480), [319.5, 239.5]);
+        assert_eq!(centre_px(3, 1), [1.0, 0.0]);
+    }
+}

@@ -2,6 +2,7 @@
 
 #![allow(
     dead_code,
+    unreachable_pub,
     clippy::allow_attributes_without_reason,
     reason = "each test file uses its own part of this module"
 )]
@@ -77,7 +78,7 @@ pub fn save_gray8(path: &Path, width: usize, height: usize, gray: Vec<u8>) -> Pa
 
 /// 16-bit grey with detail below the 8-bit step.
 pub fn save_gray16(path: &Path, width: usize, height: usize, gray: &[u8]) {
-    let wide = gray.iter().map(|&v| u16::from(v) * 257).collect();
+    let wide: Vec<u16> = gray.iter().map(|&v| u16::from(v) * 257).collect();
     ImageBuffer::<Luma<u16>, _>::from_raw(width as u32, height as u32, wide)
         .expect("sizes agree")
         .save(path)

@@ -2,6 +2,7 @@
 
 #![allow(
     dead_code,
+    unreachable_pub,
     clippy::allow_attributes_without_reason,
     reason = "each test file uses its own part of this module"
 )]

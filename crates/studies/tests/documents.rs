@@ -1,0 +1,146 @@
+//! The documents say what is so.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+fn rust_sources(folder: &Path, into: &mut String) {
+    for entry in fs::read_dir(folder).unwrap().flatten() {
+        let path = entry.path();
+        if path.is_dir() {
+            rust_sources(&path, into);
+        } else if path.extension().is_some_and(|x| x == "rs") {
+            into.push_str(&fs::read_to_string(&path).unwrap());
+        }
+    }
+}
+
+#[test]
+fn every_convention_names_a_test_that_exists() {
+    let text = fs::read_to_string(root().join("CONVENTIONS.md")).unwrap();
+    let mut sources = String::new();
+    rust_sources(&root().join("crates"), &mut sources);
+    let named: Vec<&str> = text
+        .split("(test: `")
+        .skip(1)
+        .map(|rest| rest.split('`').next().unwrap())
+        .collect();
+    assert!(named.len() > 20);
+    for name in named {
+        assert!(
+            sources.contains(&format!("fn {name}()")),
+            "no test is called {name}"
+        );
+    }
+    // One line, one proof.
+    for item in text.split("\n- ").skip(1) {
+        assert!(item.contains("(test: `"), "unproved: {item}");
+    }
+}
+
+/// The crates of ours that each crate may use outside its tests.
+const ALLOWED: [(&str, &[&str]); 10] = [
+    ("sift", &[]),
+    ("geometry", &[]),
+    ("registration", &["sift", "geometry"]),
+    ("scope", &[]),
+    ("slide", &[]),
+    ("twin", &["scope", "slide"]),
+    ("servo", &["sift", "geometry", "registration", "scope"]),
+    ("report", &["servo", "scope", "geometry", "registration"]),
+    (
+        "cli",
+        &[
+            "sift",
+            "geometry",
+            "registration",
+            "scope",
+            "slide",
+            "twin",
+            "servo",
+            "report",
+        ],
+    ),
+    (
+        "studies",
+        &[
+            "sift",
+            "geometry",
+            "registration",
+            "scope",
+            "slide",
+            "twin",
+            "servo",
+        ],
+    ),
+];
+
+#[test]
+fn crates_know_only_what_the_architecture_allows() {
+    let output = Command::new(env!("CARGO"))
+        .args([
+            "metadata",
+            "--no-deps",
+            "--format-version",
+            "1",
+            "--offline",
+        ])
+        .current_dir(root())
+        .output()
+        .unwrap();
+    let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let packages = metadata["packages"].as_array().unwrap();
+    assert_eq!(packages.len(), ALLOWED.len());
+    for package in packages {
+        let short = |name: &serde_json::Value| name.as_str().unwrap().replace("scopeservo-", "");
+        let name = short(&package["name"]);
+        let (_, allowed) = ALLOWED
+            .iter()
+            .find(|(n, _)| *n == name)
+            .expect("every crate is listed");
+        let used: BTreeSet<String> = package["dependencies"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .filter(|d| {
+                d["kind"].is_null() && d["name"].as_str().unwrap().starts_with("scopeservo-")
+            })
+            .map(|d| short(&d["name"]))
+            .collect();
+        for dependency in used {
+            assert!(
+                allowed.contains(&dependency.as_str()),
+                "{name} must not know {dependency}"
+            );
+        }
+    }
+}
+
+#[test]
+fn files_that_the_documents_link_to_are_there() {
+    for document in [
+        "README.md",
+        "ARCHITECTURE.md",
+        "CONVENTIONS.md",
+        "CHANGELOG.md",
+        "docs/measured.md",
+    ] {
+        let path = root().join(document);
+        let text = fs::read_to_string(&path).unwrap();
+        for link in text
+            .split("](")
+            .skip(1)
+            .map(|rest| rest.split(')').next().unwrap())
+        {
+            if !link.starts_with("http") {
+                let target = path.parent().unwrap().join(link);
+                assert!(target.exists(), "{document} links to {link}");
+            }
+        }
+    }
+}
