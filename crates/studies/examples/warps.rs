@@ -6,10 +6,10 @@
 
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
-use scopeservo_registration::{Options, register};
-use scopeservo_sift::detect_and_describe;
+use scopeservo_registration::{Options, Prior, register};
+use scopeservo_sift::{Features, detect_and_describe};
 use scopeservo_slide::Slide;
-use scopeservo_studies::warp::{Source, random_pair};
+use scopeservo_studies::warp::{Pair, SIZE, Source, random_pair};
 use scopeservo_studies::{quantile, specimens};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -28,16 +28,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     } else {
         images.iter().map(Into::into).collect()
     };
-    println!("image zoom pairs found median_px p90_px worst_px median_inliers sigma_ratio");
+    println!(
+        "image zoom settings pairs found median_px p90_px worst_px median_inliers error_over_sigma"
+    );
     for path in &paths {
         let gray = Slide::open(path)?.read_gray(0)?;
         let source = Source {
             width: gray.width,
             height: gray.height,
             data: gray.data,
-        };
+        }
+        .landscape();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
         for (zoom, pitch) in [(1.0, 2.0), (2.0, 1.5), (4.0, 1.0)] {
-            let (mut errors, mut inliers, mut pulls, mut made) = (vec![], vec![], vec![], 0);
+            let mut tallies = [Tally::default(), Tally::default()];
             for seed in 0..pairs {
                 // A place without texture says nothing of accuracy: draw again.
                 let Some(pair) = (0..20).find_map(|k| {
@@ -45,53 +49,75 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 }) else {
                     continue;
                 };
-                made += 1;
-                let view = detect_and_describe(
-                    &pair.view,
-                    &scopeservo_sift::Options {
-                        max_features: 4000,
-                        ..Default::default()
-                    },
-                )?;
-                let target = detect_and_describe(
-                    &pair.target,
-                    &scopeservo_sift::Options {
-                        max_features: 8000,
-                        ..Default::default()
-                    },
-                )?;
-                let answer = register(&view, &target, &pair.prior(), &Options::default());
-                inliers.push(answer.inliers as f64);
-                if let Some(found) = answer.found() {
-                    errors.push(pair.corner_error(&found.target_from_view));
-                    let c = [(639.0) / 2.0, 479.0 / 2.0];
-                    let (p, q) = (
-                        found.target_from_view.apply(c),
-                        pair.target_from_view.apply(c),
-                    );
-                    pulls.push(
-                        (((p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2)) / 2.0).sqrt()
-                            / found.sigma_px,
-                    );
-                }
+                let [few, many] = [4000, 8000].map(|max_features| scopeservo_sift::Options {
+                    max_features,
+                    ..Default::default()
+                });
+                let view = detect_and_describe(&pair.view, &few)?;
+                // As the program's `register` does it, and as the servo does.
+                tallies[0].add(
+                    &pair,
+                    &view,
+                    &detect_and_describe(&pair.target, &few)?,
+                    &Prior::default(),
+                );
+                tallies[1].add(
+                    &pair,
+                    &view,
+                    &detect_and_describe(&pair.target, &many)?,
+                    &pair.prior(),
+                );
             }
-            let rms = (pulls.iter().map(|p| p * p).sum::<f64>() / pulls.len().max(1) as f64).sqrt();
-            println!(
-                "{} {zoom}:1 {made} {} {:.4} {:.4} {:.4} {} {rms:.2}",
-                path.file_name().unwrap_or_default().to_string_lossy(),
-                errors.len(),
-                quantile(&errors, 0.5),
-                quantile(&errors, 0.9),
-                quantile(&errors, 1.0),
-                quantile(&inliers, 0.5),
-            );
+            for (settings, tally) in ["register", "servo"].into_iter().zip(&tallies) {
+                println!("{name} {zoom}:1 {settings} {tally}");
+            }
         }
     }
     Ok(())
 }
 
+/// What one row of the table says.
+#[derive(Default)]
+struct Tally {
+    made: usize,
+    errors: Vec<f64>,
+    inliers: Vec<f64>,
+    pulls: Vec<f64>,
+}
+
+impl Tally {
+    fn add(&mut self, pair: &Pair, view: &Features, target: &Features, prior: &Prior) {
+        self.made += 1;
+        let answer = register(view, target, prior, &Options::default());
+        self.inliers.push(answer.inliers as f64);
+        let Some(found) = answer.found() else { return };
+        self.errors.push(pair.corner_error(&found.target_from_view));
+        let centre = SIZE.map(|n| (n as f64 - 1.0) / 2.0);
+        let (p, q) = (
+            found.target_from_view.apply(centre),
+            pair.target_from_view.apply(centre),
+        );
+        let off = f64::hypot(p[0] - q[0], p[1] - q[1]) / std::f64::consts::SQRT_2;
+        self.pulls.push(off / found.sigma_px);
+    }
+}
+
+impl std::fmt::Display for Tally {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let n = self.pulls.len().max(1) as f64;
+        let pull = (self.pulls.iter().map(|p| p * p).sum::<f64>() / n).sqrt();
+        let [median, p90, worst] = [0.5, 0.9, 1.0].map(|q| quantile(&self.errors, q));
+        let inliers = quantile(&self.inliers, 0.5);
+        let (made, found) = (self.made, self.errors.len());
+        write!(
+            f,
+            "{made} {found} {median:.4} {p90:.4} {worst:.4} {inliers} {pull:.2}"
+        )
+    }
+}
+
 /// Whether at least a third of the target's blocks show structure.
-fn textured(pair: &scopeservo_studies::warp::Pair) -> bool {
+fn textured(pair: &Pair) -> bool {
     let (w, h, block) = (pair.target.width(), pair.target.height(), 40);
     let mut busy = 0;
     for by in 0..h / block {

@@ -31,6 +31,23 @@ pub struct Source {
 }
 
 impl Source {
+    /// The same turned so that the longer side lies along the rows.
+    #[must_use]
+    pub fn landscape(self) -> Self {
+        if self.width >= self.height {
+            return self;
+        }
+        let (width, height) = (self.height, self.width);
+        let data = (0..width * height)
+            .map(|i| self.data[(i % width) * self.width + (self.width - 1 - i / width)])
+            .collect();
+        Self {
+            width,
+            height,
+            data,
+        }
+    }
+
     /// Catmull-Rom interpolation at a place in source pixels; clamped at the border.
     fn sample(&self, x: f64, y: f64) -> f64 {
         let (fx, fy) = (x.floor(), y.floor());
