@@ -13,7 +13,8 @@ pub const CALIBRATION_SCHEMA: u32 = 1;
 /// image's centre ((w-1)/2, (h-1)/2). The general 2x2 map covers mirrored cameras and stages of either handedness.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
-    /// [`CALIBRATION_SCHEMA`] of the program that wrote it.
+    /// [`CALIBRATION_SCHEMA`] of the program that wrote it; reading any other is an error.
+    #[serde(deserialize_with = "known_schema")]
     pub schema: u32,
     /// The objective it belongs to.
     pub objective: ObjectiveId,
@@ -33,6 +34,16 @@ pub struct Calibration {
     pub parcentric_offset_m: Option<Vec2>,
     /// Height of this objective's focus above the reference objective's, metres, when measured.
     pub parfocal_offset_m: Option<f64>,
+}
+
+fn known_schema<'de, D: serde::Deserializer<'de>>(from: D) -> Result<u32, D::Error> {
+    let schema = u32::deserialize(from)?;
+    if schema == CALIBRATION_SCHEMA {
+        return Ok(schema);
+    }
+    Err(serde::de::Error::custom(format!(
+        "this calibration has schema {schema} and this version reads {CALIBRATION_SCHEMA}; calibrate again"
+    )))
 }
 
 /// The paper's reading of the 2x2 map: `c = R_ec(phi) diag(kx, ky)^-1 (p - p0)`, Eqs. (1) and (3).
@@ -55,11 +66,10 @@ fn r_ec(phi_rad: f64) -> Mat2 {
 }
 
 impl Calibration {
-    /// Pixels per metre in stage axes; the inverse of [`Calibration::stage_from_pixel`].
-    pub fn pixel_from_stage(&self) -> Mat2 {
-        self.stage_from_pixel
-            .inverse()
-            .expect("a calibration is made only from a regular map")
+    /// Pixels per metre in stage axes; the inverse of [`Calibration::stage_from_pixel`]. `None` when that is singular, as
+    /// only a damaged calibration's is.
+    pub fn pixel_from_stage(&self) -> Option<Mat2> {
+        self.stage_from_pixel.inverse()
     }
 
     /// Size of a pixel on the specimen, um: geometric mean of both directions.
@@ -72,7 +82,7 @@ impl Calibration {
     ///
     /// Solves (16) in closed form. V of (13) is the transpose of [`Calibration::pixel_from_stage`].
     pub fn reading(&self) -> Option<IntrinsicReading> {
-        let v = self.pixel_from_stage().transpose();
+        let v = self.pixel_from_stage()?.transpose();
         if v.det() >= 0.0 {
             return None;
         }
@@ -102,9 +112,10 @@ impl Calibration {
         }
     }
 
-    /// K of Eq. (1) as a general 2x2 matrix about the principal point: pixels per metre in camera axes.
-    pub fn intrinsic(&self) -> Mat2 {
-        self.pixel_from_stage() * self.stage_from_camera()
+    /// K of Eq. (1) as a general 2x2 matrix about the principal point: pixels per metre in camera axes. `None` as in
+    /// [`Calibration::pixel_from_stage`].
+    pub fn intrinsic(&self) -> Option<Mat2> {
+        Some(self.pixel_from_stage()? * self.stage_from_camera())
     }
 }
 
@@ -140,7 +151,7 @@ mod tests {
             assert!((r.ky_px_per_m / ky - 1.0).abs() < 1e-12);
             assert!((r.phi_rad.to_degrees() - phi_deg).abs() < 1e-10);
             assert!(r.misfit < 1e-12);
-            let k = c.intrinsic();
+            let k = c.intrinsic().unwrap();
             assert!((k - Mat2::diagonal(kx, ky)).frobenius() < 1e-6);
         }
     }
@@ -158,9 +169,23 @@ mod tests {
         let c = calibration(map);
         assert_eq!(c.reading(), None);
         assert!(
-            (c.stage_from_camera() * c.intrinsic().inverse().unwrap() - map).frobenius() < 1e-18
+            (c.stage_from_camera() * c.intrinsic().unwrap().inverse().unwrap() - map).frobenius()
+                < 1e-18
         );
         assert!((c.um_per_px() - 0.505).abs() < 1e-3);
+    }
+
+    #[test]
+    fn another_schema_is_refused_and_a_singular_map_is_none() {
+        let mut c = calibration(Mat2([[1e-7, 2e-7], [2e-7, 4e-7]]));
+        assert_eq!(
+            (c.pixel_from_stage(), c.reading(), c.intrinsic()),
+            (None, None, None)
+        );
+        c.schema += 1;
+        let json = serde_json::to_string(&c).unwrap();
+        let refused = serde_json::from_str::<Calibration>(&json).unwrap_err();
+        assert!(refused.to_string().contains("calibrate again"), "{refused}");
     }
 
     #[test]

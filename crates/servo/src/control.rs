@@ -36,8 +36,8 @@ pub fn pose_error(
     target_centre_px: Vec2,
 ) -> Option<PoseError> {
     let j_t = target_from_view.recentred(view_centre_px, target_centre_px);
-    let k_t_inverse = target.intrinsic().inverse()?;
-    let h_linear = k_t_inverse * j_t.linear * view.intrinsic();
+    let k_t_inverse = target.intrinsic()?.inverse()?;
+    let h_linear = k_t_inverse * j_t.linear * view.intrinsic()?;
     Some(PoseError {
         t_m: k_t_inverse * j_t.offset,
         theta_rad: h_linear.rotation_angle()?,
@@ -111,8 +111,10 @@ mod tests {
             offset: pose.t_m,
         });
         Affine2 {
-            linear: target.intrinsic() * h.linear * view.intrinsic().inverse().unwrap(),
-            offset: target.intrinsic() * h.offset,
+            linear: target.intrinsic().unwrap()
+                * h.linear
+                * view.intrinsic().unwrap().inverse().unwrap(),
+            offset: target.intrinsic().unwrap() * h.offset,
         }
     }
 
