@@ -86,16 +86,14 @@ pub enum NotFound {
         matches: usize,
     },
     /// As many agreeing matches come up between unrelated images.
-    #[error(
-        "{inliers} agreeing places among {matches} matches could be chance (expected false alarms 10^{log10_nfa:.1})"
-    )]
+    #[error("{inliers} agreeing places among {matches} matches could be chance")]
     ByChance {
         /// Agreeing unique places.
         inliers: usize,
         /// Unique matches.
         matches: usize,
-        /// log10 of the expected number of such agreements between unrelated images.
-        log10_nfa: f64,
+        /// log10 of the expected number of such agreements between unrelated images; `None` when they prove nothing.
+        log10_nfa: Option<f64>,
     },
     /// The matches agree, but leave the transform open.
     #[error("the agreeing matches leave a view corner uncertain by {corner_sigma_px:.1} target px")]
@@ -116,6 +114,8 @@ pub struct Estimate {
     pub sigma_px: f64,
     /// The same for the worst corner of the view.
     pub corner_sigma_px: f64,
+    /// Standard deviation of the rotation, radians.
+    pub sigma_angle_rad: f64,
 }
 
 /// The answer of a registration.
@@ -281,7 +281,7 @@ pub fn register(
         Err(NotFound::ByChance {
             inliers: final_places.len(),
             matches: places.len(),
-            log10_nfa: if nfa.is_finite() { nfa } else { 99.0 },
+            log10_nfa: nfa.is_finite().then_some(nfa),
         })
     } else if corner_sigma_px.is_nan() || corner_sigma_px > options.max_corner_sigma_px * coarse_px
     {
@@ -292,6 +292,7 @@ pub fn register(
             covariance: fit.covariance,
             sigma_px: fit.sigma_at([w / 2.0, h / 2.0]),
             corner_sigma_px,
+            sigma_angle_rad: sigma_angle_rad(&fit),
         })
     };
     Registration {
@@ -363,6 +364,25 @@ fn search(
 fn residual(transform: &Affine2, c: &Correspondence) -> f64 {
     let q = transform.apply(c.p_in_a);
     f64::hypot(q[0] - c.p_in_b[0], q[1] - c.p_in_b[1])
+}
+
+/// The angle is `atan2(a21 - a12, a11 + a22)`: to first order its variance is that of `a21 - a12` over the square of
+/// `a11 + a22` turned upright, `4 det` for a similarity.
+fn sigma_angle_rad(fit: &AffineFit) -> f64 {
+    let c = &fit.covariance;
+    let [[a11, a12], [a21, a22]] = fit.b_from_a.linear.0;
+    let (up, across) = (a11 + a22, a21 - a12);
+    // Gradient of the angle in (a11, a12, a21, a22); rows 0, 1, 3, 4 of the covariance.
+    let size_sq = up * up + across * across;
+    let gradient = [-across, -up, up, -across].map(|g| g / size_sq);
+    let rows = [0, 1, 3, 4];
+    let mut variance = 0.0;
+    for (i, gi) in rows.iter().zip(gradient) {
+        for (j, gj) in rows.iter().zip(gradient) {
+            variance += gi * c[*i][*j] * gj;
+        }
+    }
+    variance.max(0.0).sqrt()
 }
 
 /// Iteratively reweighted least squares with Cauchy weights; the scale is the median residual, taken anew each time.

@@ -209,6 +209,8 @@ impl Instrument {
             }
             match poll() {
                 Ok(Motion::Moving) => {}
+                // Stopped from the side that also asked for the stop: the next turn says so.
+                Ok(Motion::Stopped) if self.cancel.is_cancelled() => continue,
                 Ok(ended) => return Ok(ended),
                 Err(fault) => {
                     // A device that cannot say what it does must not go on doing it; its own fault is the news.
@@ -225,5 +227,224 @@ impl Instrument {
             }
             self.clock.sleep(POLL);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Axis, AxisInfo, CameraInfo, Kinematics, Limits, PositiveZ, Stage, StageInfo, Timestamp,
+    };
+    use std::sync::Mutex;
+
+    /// A stage of one axis that goes 1 mm/s, or never arrives, or cannot say what it does.
+    struct Slow {
+        info: StageInfo,
+        clock: Arc<Ticks>,
+        fault: bool,
+        /// Start (s, m) and goal of the move under way, or where it stands.
+        state: Arc<Mutex<Place>>,
+    }
+
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    enum Place {
+        Stands { at: f64, stopped: bool },
+        Moves { from: f64, to: f64, since: f64 },
+    }
+
+    impl Slow {
+        fn x(&self) -> f64 {
+            match *self.state.lock().unwrap() {
+                Place::Stands { at, .. } => at,
+                Place::Moves { from, to, since } => {
+                    let way = 1e-3 * (self.clock.now().seconds() - since);
+                    (from + way).min(to)
+                }
+            }
+        }
+    }
+
+    impl Stage for Slow {
+        fn info(&self) -> &StageInfo {
+            &self.info
+        }
+        fn position(&self) -> Result<StagePose, ScopeError> {
+            Ok(StagePose::default().with_si(Axis::X, self.x()))
+        }
+        fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
+            let (from, since) = (self.x(), self.clock.now().seconds());
+            let to = to.si(Axis::X).unwrap();
+            *self.state.lock().unwrap() = Place::Moves { from, to, since };
+            Ok(())
+        }
+        fn poll(&self) -> Result<Motion, ScopeError> {
+            if self.fault {
+                return Err(ScopeError::Device {
+                    device: "stage",
+                    detail: "cable".into(),
+                });
+            }
+            Ok(match *self.state.lock().unwrap() {
+                Place::Stands { stopped: true, .. } => Motion::Stopped,
+                Place::Stands { stopped: false, .. } => Motion::Settled,
+                Place::Moves { .. } => Motion::Moving,
+            })
+        }
+        fn stop(&self) -> Result<(), ScopeError> {
+            let at = self.x();
+            *self.state.lock().unwrap() = Place::Stands { at, stopped: true };
+            Ok(())
+        }
+    }
+
+    /// A virtual clock that cancels after a number of sleeps.
+    struct Ticks {
+        clock: crate::VirtualClock,
+        left: Mutex<i64>,
+        cancel: CancelToken,
+    }
+
+    impl Clock for Ticks {
+        fn now(&self) -> Timestamp {
+            self.clock.now()
+        }
+        fn sleep(&self, duration: Duration) {
+            self.clock.sleep(duration);
+            let mut left = self.left.lock().unwrap();
+            *left -= 1;
+            if *left == 0 {
+                self.cancel.cancel();
+            }
+        }
+    }
+
+    struct Nothing(CameraInfo);
+
+    impl Camera for Nothing {
+        fn info(&self) -> &CameraInfo {
+            &self.0
+        }
+        fn exposure(&self) -> Result<Duration, ScopeError> {
+            Ok(self.0.min_exposure)
+        }
+        fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
+            Ok(exposure)
+        }
+        fn grab(&self) -> Result<Frame, ScopeError> {
+            Err(ScopeError::Busy { device: "camera" })
+        }
+    }
+
+    impl Nosepiece for Nothing {
+        fn objectives(&self) -> &[Objective] {
+            &[]
+        }
+        fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
+            Ok(None)
+        }
+        fn start_change(&self, _: &ObjectiveId) -> Result<(), ScopeError> {
+            Ok(())
+        }
+        fn poll(&self) -> Result<Motion, ScopeError> {
+            Ok(Motion::Settled)
+        }
+        fn stop(&self) -> Result<(), ScopeError> {
+            Ok(())
+        }
+    }
+
+    fn nothing() -> Box<Nothing> {
+        Box::new(Nothing(CameraInfo {
+            name: "none".into(),
+            width: 1,
+            height: 1,
+            channels: crate::Channels::Gray,
+            bit_depth: 8,
+            min_exposure: Duration::from_millis(1),
+            max_exposure: Duration::from_millis(1),
+        }))
+    }
+
+    /// Sends the stage 10 mm away; it is cancelled after `sleeps` waits (never for 0). Returns what the move answered,
+    /// the stage's state and the time.
+    fn send(sleeps: i64, fault: bool) -> (Result<StagePose, ScopeError>, Place, f64) {
+        let cancel = CancelToken::new();
+        let clock = Arc::new(Ticks {
+            clock: crate::VirtualClock::new(),
+            left: Mutex::new(sleeps),
+            cancel: cancel.clone(),
+        });
+        let state = Arc::new(Mutex::new(Place::Stands {
+            at: 0.0,
+            stopped: false,
+        }));
+        let stage = Slow {
+            info: StageInfo {
+                name: "slow".into(),
+                axes: vec![AxisInfo {
+                    axis: Axis::X,
+                    min: -1.0,
+                    max: 1.0,
+                    repeatability: 0.0,
+                }],
+                kinematics: Kinematics::MovesMicroscope,
+                positive_z: PositiveZ::Closer,
+            },
+            clock: clock.clone(),
+            fault,
+            state: state.clone(),
+        };
+        let scope = Instrument::new(
+            CheckedStage::new(Box::new(stage), &Limits::default()).unwrap(),
+            nothing(),
+            nothing(),
+            clock.clone(),
+            cancel,
+        );
+        let answer = scope.move_to(&StagePose::default().with_si(Axis::X, 1e-2));
+        let place = *state.lock().unwrap();
+        (answer, place, clock.now().seconds())
+    }
+
+    #[test]
+    fn a_stop_on_the_way_halts_the_stage_between_start_and_goal() {
+        let (answer, place, _) = send(100, false);
+        let Err(ScopeError::Interrupted { at: Some(at) }) = answer else {
+            panic!("{answer:?}");
+        };
+        assert!(
+            matches!(place, Place::Stands { stopped: true, .. }),
+            "{place:?}"
+        );
+        let x = at.si(Axis::X).unwrap();
+        assert!(x > 1e-4 && x < 9e-3, "{x}");
+    }
+
+    #[test]
+    fn a_stage_that_cannot_say_what_it_does_is_stopped_and_its_own_fault_is_told() {
+        let (answer, place, _) = send(0, true);
+        assert!(
+            matches!(answer, Err(ScopeError::Device { .. })),
+            "{answer:?}"
+        );
+        assert!(
+            matches!(place, Place::Stands { stopped: true, .. }),
+            "{place:?}"
+        );
+    }
+
+    #[test]
+    fn a_stage_that_never_arrives_is_stopped_after_the_time_out() {
+        let (answer, place, seconds) = send(0, false);
+        assert!(
+            matches!(answer, Err(ScopeError::Timeout { .. })),
+            "{answer:?}"
+        );
+        assert!(
+            matches!(place, Place::Stands { stopped: true, .. }),
+            "{place:?}"
+        );
+        assert!((seconds - MOVE_TIMEOUT.as_secs_f64()).abs() < 1.0);
     }
 }

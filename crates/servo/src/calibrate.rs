@@ -24,6 +24,10 @@ pub struct CalibrateOptions {
     pub max_rotation_rad: f64,
     /// Measured over nominal um per pixel may be this, or one over this, at most.
     pub nominal_factor: f64,
+    /// The residual may be this many times what the stage's repeatability explains, at most.
+    pub residual_factor: f64,
+    /// One direction's scale over the other's, at most.
+    pub anisotropy: f64,
 }
 
 impl Default for CalibrateOptions {
@@ -33,6 +37,8 @@ impl Default for CalibrateOptions {
             rotation_share: 0.4,
             max_rotation_rad: 0.08,
             nominal_factor: 1.5,
+            residual_factor: 4.0,
+            anisotropy: 1.2,
         }
     }
 }
@@ -314,6 +320,17 @@ impl Calibrate {
                 nominal_um_per_px: nominal,
             });
         }
+        // One pixel is for what the data sheet does not name: vibration, drift, the slide's seat.
+        let explained_px = explained_px(&reference, &calibration, info.kinematics, pose_sigma);
+        let allowed_px = 1.0 + self.options.residual_factor * explained_px;
+        let [large, small] = stage_from_pixel.svd().s;
+        if residual_px > allowed_px || large > self.options.anisotropy * small {
+            return Err(ServoError::CalibrationInconsistent {
+                objective: self.objective.id.clone(),
+                residual_px,
+                allowed_px,
+            });
+        }
         Ok((calibration, residual_px))
     }
 }
@@ -385,6 +402,39 @@ fn predicted_b(
     pixel_from_stage * [0, 1].map(|k| turned[k] - eta[k] + motion.d_m[k])
 }
 
+/// Standard deviation per coordinate, px, of a view's displacement from the stage's repeatability, at the view and at the
+/// reference.
+fn explained_px(
+    reference: &PlanarPose,
+    calibration: &Calibration,
+    kinematics: Kinematics,
+    pose_sigma: [f64; 3],
+) -> f64 {
+    let Some(p) = calibration.pixel_from_stage() else {
+        return 0.0;
+    };
+    let eta = calibration.rotation_centre_m.unwrap_or([0.0; 2]);
+    let sum_sq: f64 = (0..3)
+        .map(|k| {
+            let pose = nudged(reference, pose_sigma, k);
+            let b = predicted_b(kinematics, reference, &pose, p, eta);
+            b[0] * b[0] + b[1] * b[1]
+        })
+        .sum();
+    // Two places, two coordinates.
+    sum_sq.sqrt()
+}
+
+/// A pose displaced along one of x, y, rotation by its sigma.
+fn nudged(pose: &PlanarPose, pose_sigma: [f64; 3], k: usize) -> PlanarPose {
+    let mut pose = *pose;
+    match k {
+        0 | 1 => pose.x_m[k] += pose_sigma[k],
+        _ => pose.theta_rad += pose_sigma[2],
+    }
+    pose
+}
+
 /// Covariance of (stage_from_pixel, rotation centre) by first-order propagation through the solver itself: of the
 /// stage's repeatability at every place, the reference included (`pose_sigma`: m, m, rad), which changes what is seen
 /// but not what is reported, and of the registration noise.
@@ -404,14 +454,6 @@ fn covariance(
     let base = parameters(translations, rotations)?;
     let seen = |reference: &PlanarPose, pose: &PlanarPose| {
         predicted_b(kinematics, reference, pose, p, eta.unwrap_or([0.0; 2]))
-    };
-    let nudged = |pose: &PlanarPose, k: usize| {
-        let mut pose = *pose;
-        match k {
-            0 | 1 => pose.x_m[k] += pose_sigma[k],
-            _ => pose.theta_rad += pose_sigma[2],
-        }
-        pose
     };
     let mut out = [[0.0; 6]; 6];
     let mut add = |change_of_b: &dyn Fn(usize, &Observation) -> Vec2| {
@@ -439,7 +481,7 @@ fn covariance(
         // The reference frame was taken a little elsewhere: every view is displaced.
         add(&|_, o| {
             difference(
-                seen(&nudged(reference, k), &o.pose),
+                seen(&nudged(reference, pose_sigma, k), &o.pose),
                 seen(reference, &o.pose),
             )
         })?;
@@ -449,7 +491,7 @@ fn covariance(
             add(&|i, o| match k {
                 _ if i != index => [0.0; 2],
                 0..3 => difference(
-                    seen(reference, &nudged(&o.pose, k)),
+                    seen(reference, &nudged(&o.pose, pose_sigma, k)),
                     seen(reference, &o.pose),
                 ),
                 3 => [o.sigma_px, 0.0],

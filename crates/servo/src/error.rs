@@ -17,8 +17,8 @@ pub enum ServoError {
     Features(#[from] SiftError),
     /// The sharpness has no peak within the sweep.
     #[error(
-        "no focus found with {objective}: sharpness varies by a factor of {contrast:.2} over {from_um:.0} to {to_um:.0} um, \
-         as over blank glass. Move to a place with tissue, or nearer to focus, and try again"
+        "no focus found with {objective}: sharpness varies by a factor of {contrast:.2} over {from_um:.0} to {to_um:.0} um \
+         without a peak. Move to a place with tissue, or nearer to focus, and try again"
     )]
     NoFocus {
         /// The objective in the beam.
@@ -57,6 +57,19 @@ pub enum ServoError {
         measured_um_per_px: f64,
         /// What the instrument states.
         nominal_um_per_px: f64,
+    },
+    /// What was seen does not fit what the stage says it did.
+    #[error(
+        "calibration of {objective} was refused: what was seen is {residual_px:.1} px off what the stage reported, and \
+         {allowed_px:.1} px would be its repeatability. Look for lost steps, play or a slipping slide"
+    )]
+    CalibrationInconsistent {
+        /// The objective in the beam.
+        objective: ObjectiveId,
+        /// Root mean square residual, px.
+        residual_px: f64,
+        /// What would have been accepted, px.
+        allowed_px: f64,
     },
     /// A setting that makes no sense.
     #[error("{0}")]

@@ -165,6 +165,11 @@ impl Focus {
                 return Ok(());
             }
         }
+        if at_end {
+            // Still rising where the sweep ends: that is no peak.
+            scope.move_to(&height(start_um))?;
+            return Err(self.no_focus());
+        }
         self.pass = Pass::Fine;
         self.samples.clear();
         self.plan_um = Self::plan(scope, z - 1.5 * step, z + 1.5 * step, step / 4.0);
@@ -255,7 +260,10 @@ impl Procedure for Focus {
         if self.plan_um.is_empty() {
             match self.pass {
                 Pass::Coarse => self.coarse_done(scope, start_um)?,
-                _ if self.samples.is_empty() => return Err(self.no_focus()),
+                _ if self.samples.is_empty() => {
+                    scope.move_to(&height(start_um))?;
+                    return Err(self.no_focus());
+                }
                 _ => self.pass = Pass::Approach,
             }
         }

@@ -58,6 +58,8 @@ pub enum Reason {
     Diverged,
     /// The way leads outside the limits.
     OutsideLimits,
+    /// The place is back, but the stage has no axis for the angle that is left.
+    CannotTurn,
 }
 
 /// What happened at one magnification.
@@ -285,6 +287,17 @@ impl Reposition {
                 self.next_leg();
                 None
             }
+            ServoEnd::Converged(result)
+                if result.error.angle_deg().abs() > self.options.servo.angle_deg.max(0.02) =>
+            {
+                let message = format!(
+                    "the place is back, {:.2} um off, but {:.3} deg are left and this stage cannot turn: turn the specimen \
+                     by hand and try again",
+                    result.error.distance_um(),
+                    result.error.angle_deg()
+                );
+                Some(self.outcome(Verdict::Refused, Reason::CannotTurn, message))
+            }
             ServoEnd::Converged(result) => {
                 let message = format!(
                     "the saved view is back, {:.2} um and {:.4} deg off by its own measurement",
@@ -294,9 +307,13 @@ impl Reposition {
                 Some(self.outcome(Verdict::Arrived, Reason::Converged, message))
             }
             ServoEnd::Lost(reason) => {
+                let advice = if self.done.len() > 1 {
+                    "It was seen at a lower magnification, so look for a bubble, poor focus or a slipping stage"
+                } else {
+                    "Bring the specimen so that the place lies in the field at the lowest magnification"
+                };
                 let message = format!(
-                    "the saved view was not found at {at}x: {reason}. Bring the specimen so that the place lies in the \
-                     field at the lowest magnification, and try again"
+                    "the saved view was not found at {at}x: {reason}. {advice}, and try again"
                 );
                 Some(self.outcome(Verdict::NotFound, Reason::TargetNotInView, message))
             }
@@ -340,9 +357,9 @@ impl Reposition {
     fn answer(&self, error: ServoError) -> Result<Outcome, ServoError> {
         let reason = match &error {
             ServoError::NoFocus { .. } => Reason::NoFocus,
-            ServoError::CalibrationViews { .. } | ServoError::CalibrationImplausible { .. } => {
-                Reason::CalibrationFailed
-            }
+            ServoError::CalibrationViews { .. }
+            | ServoError::CalibrationImplausible { .. }
+            | ServoError::CalibrationInconsistent { .. } => Reason::CalibrationFailed,
             ServoError::Scope(e @ scopeservo_scope::ScopeError::OutsideLimits { .. })
                 if e.kind() == ErrorKind::Refused =>
             {

@@ -33,7 +33,11 @@ pub struct ServoOptions {
     pub confirmations: usize,
     /// Frames in a row that may be lost before giving up.
     pub max_lost: usize,
-    /// Divergence: give up when the error grows to this many times its first value, and over ten view pixels.
+    /// Standard deviations by which the error must lie inside both limits at the target's own magnification, where passing
+    /// means arrival.
+    pub sure_sigmas: f64,
+    /// Divergence: give up when the distance grows to this many times its first value and over ten view pixels, or the
+    /// angle to this many times its first value and over half a degree.
     pub divergence_factor: f64,
 }
 
@@ -46,6 +50,7 @@ impl Default for ServoOptions {
             angle_deg: 0.01,
             confirmations: 2,
             max_lost: 3,
+            sure_sigmas: 2.0,
             divergence_factor: 3.0,
         }
     }
@@ -98,7 +103,7 @@ pub struct ServoResult {
 pub struct Servo {
     iteration: usize,
     lost_in_a_row: usize,
-    first_error_m: Option<f64>,
+    first: Option<PoseError>,
     last_angle_rad: Option<f64>,
     passed: Vec<PoseError>,
 }
@@ -147,7 +152,7 @@ impl Servo {
         };
         // Control.
         let turns = scope.stage().info().axis(Axis::Rz).is_some();
-        let converged = passes(&error, turns, task);
+        let converged = passes(&error, &estimate, turns, task);
         let mut velocity = control_law(&error, task.options.lambda);
         if !turns {
             velocity.theta_rad = 0.0;
@@ -206,7 +211,10 @@ impl Servo {
     ) -> Option<ServoEnd> {
         let options = task.options;
         let distance_m = error.distance_um() * 1e-6;
-        let first = *self.first_error_m.get_or_insert(distance_m);
+        let first = *self.first.get_or_insert(*error);
+        let grown = |now: f64, first: f64, least: f64| {
+            now.abs() > least && now.abs() > options.divergence_factor * first.abs()
+        };
         if converged {
             self.passed.push(*error);
         } else {
@@ -224,7 +232,9 @@ impl Servo {
         let far = 10.0 * task.view_calibration.um_per_px() * 1e-6;
         if self.passed.len() >= options.confirmations.max(1) {
             Some(ServoEnd::Converged(result(mean(&self.passed))))
-        } else if distance_m > far && distance_m > options.divergence_factor * first {
+        } else if grown(distance_m, first.distance_um() * 1e-6, far)
+            || grown(error.angle_deg(), first.angle_deg(), 0.5)
+        {
             Some(ServoEnd::Diverged(result(*error)))
         } else if self.iteration + 1 >= options.max_iterations {
             Some(ServoEnd::IterationLimit(result(*error)))
@@ -262,12 +272,22 @@ impl Servo {
 }
 
 /// The convergence test: within `position_px` pixels of the present view and, where the stage can turn, within
-/// `angle_deg` times the ratio of view pixel to target pixel.
-fn passes(error: &PoseError, turns: bool, task: &ServoTask<'_>) -> bool {
+/// `angle_deg` times the ratio of view pixel to target pixel. With the target's own objective, where passing means
+/// arrival, the error must be inside by `sure_sigmas` standard deviations.
+fn passes(error: &PoseError, estimate: &Estimate, turns: bool, task: &ServoTask<'_>) -> bool {
+    let arrival = task.view_calibration.objective == task.target_calibration.objective;
+    let sigmas = if arrival {
+        task.options.sure_sigmas
+    } else {
+        0.0
+    };
+    let unsure_um = sigmas * estimate.sigma_px * task.target_calibration.um_per_px();
+    let unsure_deg = sigmas * estimate.sigma_angle_rad.to_degrees();
     let pixel_um = task.view_calibration.um_per_px();
     let coarseness = (pixel_um / task.target_calibration.um_per_px()).max(1.0);
-    error.distance_um() <= task.options.position_px * pixel_um
-        && (!turns || error.angle_deg().abs() <= task.options.angle_deg * coarseness)
+    let angle_deg = error.angle_deg().abs();
+    error.distance_um() + unsure_um <= task.options.position_px * pixel_um
+        && (!turns || angle_deg + unsure_deg <= task.options.angle_deg * coarseness)
 }
 
 fn mean(errors: &[PoseError]) -> PoseError {

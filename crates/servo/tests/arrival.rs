@@ -47,13 +47,18 @@ fn it_arrives_with_a_mirrored_camera() {
 }
 
 #[test]
-fn without_a_rotation_axis_it_arrives_in_translation_and_tells_the_angle_left() {
+fn without_a_rotation_axis_the_place_comes_back_and_the_angle_left_is_refused() {
     for stage in [StageConfig::xyz(), StageConfig::xy()] {
         let bench = bench(one_objective().with_stage(stage));
         let (target, truth) = bench.save();
         bench.twin.remount(PLACE_UM, [38.0, -24.0], 1.5, false);
         let outcome = bench.reposition(target).unwrap();
-        assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
+        assert_eq!(
+            (outcome.verdict, outcome.reason),
+            (Verdict::Refused, Reason::CannotTurn),
+            "{}",
+            outcome.message
+        );
         let (um, deg) = bench.error_from(&truth);
         assert!(um <= 1.0, "{um} um");
         let told = outcome.estimated_error_deg.unwrap();
