@@ -103,8 +103,8 @@ pub(crate) struct DemoArgs {
     /// What the simulated microscope gets wrong.
     #[arg(long, value_enum, default_value = "default")]
     pub(crate) noise: Noise,
-    /// Folder for the report. With it, every view is kept too, with its hidden pose in views.json. Without it only the
-    /// report is written, to ./scopeservo-demo.
+    /// Folder for the report. With it, every view is kept too, with its hidden pose in views.json. Without it the
+    /// report and result.json are written, to ./scopeservo-demo. What an earlier run left there is replaced.
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// Print one JSON object on stdout instead of the summary.

@@ -5,7 +5,7 @@ use crate::error::CliError;
 use crate::output::{self, DemoJson, SCHEMA};
 use crate::progress::Watcher;
 use crate::scene::{self, Scene};
-use crate::views::{ViewWriter, write_json};
+use crate::views::{ViewWriter, clear_earlier_run, write_json};
 use scopeservo_report as report;
 use scopeservo_scope::{
     CancelToken, CheckedStage, Clock, Instrument, Limits, ObjectiveId, VirtualClock,
@@ -22,6 +22,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 const DEFAULT_OUT: &str = "scopeservo-demo";
+/// Scales that a picture from a microscope can have.
+const UM_PER_PX: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
+const MAX_SHIFT_UM: f64 = 1e5;
 
 pub(crate) fn run(args: &DemoArgs) -> Result<bool, CliError> {
     check(args)?;
@@ -49,10 +52,30 @@ fn check(args: &DemoArgs) -> Result<(), CliError> {
     if args.start_deg.is_some_and(|d| !d.is_finite()) {
         return usage("--start-deg must be a number of degrees");
     }
-    if args.um_per_px.is_some_and(|u| !(u.is_finite() && u > 0.0)) {
-        return usage("--um-per-px must be a number above 0, like 0.5 for a slide scanned at 20x");
+    if args
+        .start_um
+        .is_some_and(|s| s.iter().any(|v| v.abs() > MAX_SHIFT_UM))
+    {
+        return usage("--start-um must be within 100000 um: no slide is larger");
+    }
+    if args.um_per_px.is_some_and(|u| !UM_PER_PX.contains(&u)) {
+        return usage(
+            "--um-per-px must be a number above 0, from 0.001 to 1000, like 0.5 for a slide scanned at 20x",
+        );
     }
     Ok(())
+}
+
+/// The settings of the run.
+fn run_options(args: &DemoArgs) -> RepositionOptions {
+    RepositionOptions {
+        servo: ServoOptions {
+            lambda: args.lambda,
+            max_iterations: args.max_iterations,
+            ..ServoOptions::default()
+        },
+        ..RepositionOptions::default()
+    }
 }
 
 /// The simulated bench: a microscope with the slide on it, and what only the simulation knows.
@@ -76,9 +99,19 @@ fn bench(args: &DemoArgs) -> Result<Bench, CliError> {
     let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
     let twin = Twin::new(config, specimen.clone(), args.seed, clock.clone())?;
     let cancel = CancelToken::new();
-    let wish = cancel.clone();
-    // A second handler cannot be set in one process; the first one then keeps working.
-    let _ = ctrlc::set_handler(move || wish.cancel());
+    let (wish, stage) = (cancel.clone(), twin.stage());
+    ctrlc::set_handler(move || {
+        if wish.is_cancelled() {
+            // Asked twice: the stage was told to stop, and nobody waits any longer.
+            std::process::exit(1);
+        }
+        wish.cancel();
+        // From here too, should the working thread hang in a device.
+        if let Err(error) = stage.stop() {
+            eprintln!("scopeservo: the stage did not take the stop: {error}");
+        }
+    })
+    .map_err(|e| CliError::Internal(format!("Ctrl-C could not be provided for: {e}")))?;
     let scope = Instrument::new(
         CheckedStage::new(twin.stage(), &Limits::default())?,
         twin.camera(),
@@ -156,21 +189,16 @@ fn demo(args: &DemoArgs) -> Result<bool, CliError> {
         path: out.clone(),
         source,
     })?;
+    clear_earlier_run(&out)?;
     let views = match &args.out {
         Some(out) => Some(ViewWriter::new(out, bench.twin.clone())?),
         None => None,
     };
     let mut watcher = Watcher::new(views);
-    let options = RepositionOptions {
-        servo: ServoOptions {
-            lambda: args.lambda,
-            max_iterations: args.max_iterations,
-            ..ServoOptions::default()
-        },
-        ..RepositionOptions::default()
-    };
+    let options = run_options(args);
     let scope = &bench.scope;
-    let saved = save_target(&bench, &options.vision, &mut watcher)?;
+    let saved =
+        save_target(&bench, &options.vision, &mut watcher).inspect_err(|_| watcher.finish())?;
 
     // The slide is taken out and put back: the view now lies start_um from the target, the slide turned about it.
     let (before, time_before) = (scope.counters(), scope.clock().now());
@@ -184,10 +212,14 @@ fn demo(args: &DemoArgs) -> Result<bool, CliError> {
         Err(error) => (nothing_to_save(&error, scope, &mut watcher), None),
     };
     watcher.finish();
+    scope.check_cancel()?;
 
+    // The truth is that of the last frame: nothing moved after it, and whoever keeps the views can recompute it.
+    let last = last_frame(&watcher).and_then(|sequence| bench.twin.truth(sequence));
     let arrival = target_truth
         .as_ref()
-        .map(|t| arrival_error(t, &bench.twin.truth_now()));
+        .zip(last)
+        .map(|(target, last)| arrival_error(target, &last));
     let engine = Engine::current();
     let counters = scope.counters();
     let json = DemoJson {
@@ -233,6 +265,17 @@ fn demo(args: &DemoArgs) -> Result<bool, CliError> {
         print_summary(&json, &report_path, started);
     }
     Ok(outcome.verdict == Verdict::Arrived)
+}
+
+/// The number of the last frame of the run.
+fn last_frame(watcher: &Watcher) -> Option<u64> {
+    let events = watcher.recorder.events().iter().rev();
+    events
+        .filter_map(|e| match e.event {
+            Event::FrameGrabbed { sequence, .. } => Some(sequence),
+            _ => None,
+        })
+        .next()
 }
 
 /// Puts the slide back so that the view's centre lies at `target + start_um`, the slide turned about the target.
@@ -309,6 +352,7 @@ fn write_all(
         recorder, views, ..
     } = watcher;
     let truth = target.map(|target| hidden_truth(bench, &recorder, target, json));
+    let servo = run_options(args).servo;
     let context = report::Context {
         title: format!("Reposition on {}", json.specimen),
         specimen: bench.specimen.describe(),
@@ -323,8 +367,8 @@ fn write_all(
         wall_time_s: Some(started.elapsed().as_secs_f64()),
         credit: None,
         convergence: Some(report::Convergence {
-            position_px: ServoOptions::default().position_px,
-            angle_deg: ServoOptions::default().angle_deg,
+            position_px: servo.position_px,
+            angle_deg: servo.angle_deg,
         }),
     };
     let page = report::html(&recorder, truth.as_ref(), &context);
@@ -396,8 +440,8 @@ fn print_summary(json: &DemoJson, report: &Path, started: Instant) {
         Verdict::NotFound => "not found",
         Verdict::Refused => "refused",
     };
-    println!("{verdict}: {}", json.message);
-    println!(
+    say!("{verdict}: {}", json.message);
+    say!(
         "  slide put back {:.0} um away and turned {:.2} deg, on {}",
         f64::hypot(json.start_um[0], json.start_um[1]),
         json.start_deg,
@@ -405,22 +449,23 @@ fn print_summary(json: &DemoJson, report: &Path, started: Instant) {
     );
     for m in &json.magnifications {
         match (m.iterations, m.inliers, m.error_um, m.error_deg) {
-            (Some(n), Some(inliers), Some(um), Some(deg)) => println!(
+            (Some(n), Some(inliers), Some(um), Some(deg)) => say!(
                 "  {:>4}x  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {deg:8.4} deg  {:.4} um/px",
-                m.magnification, m.calibration.um_per_px
+                m.magnification,
+                m.calibration.um_per_px
             ),
-            _ => println!("  {:>4}x  the target was not seen", m.magnification),
+            _ => say!("  {:>4}x  the target was not seen", m.magnification),
         }
     }
     if let (Some(um), Some(deg)) = (json.true_error_um, json.true_error_deg) {
-        println!("  true error {um:.3} um, {deg:.4} deg (only the simulation knows)");
+        say!("  true error {um:.3} um, {deg:.4} deg (only the simulation knows)");
     }
-    println!(
+    say!(
         "  {} moves, {} frames, {:.1} s of instrument time, {:.1} s here",
         json.moves,
         json.frames,
         json.virtual_time_s,
         started.elapsed().as_secs_f64()
     );
-    println!("  report: {}", report.display());
+    say!("  report: {}", report.display());
 }

@@ -116,6 +116,6 @@ pub(crate) struct RegisterJson {
 pub(crate) fn print(value: &impl Serialize) -> Result<(), crate::CliError> {
     let text = serde_json::to_string(value)
         .map_err(|e| crate::CliError::Internal(format!("the answer could not be written: {e}")))?;
-    println!("{text}");
+    say!("{text}");
     Ok(())
 }

@@ -88,7 +88,7 @@ pub(crate) fn run(args: &RegisterArgs) -> Result<bool, CliError> {
 fn print_summary(json: &RegisterJson) {
     for (name, factor) in [("view", json.reduced[0]), ("target", json.reduced[1])] {
         if factor > 1 {
-            println!("{name} reduced {factor} times to look; coordinates are full-resolution");
+            say!("{name} reduced {factor} times to look; coordinates are full-resolution");
         }
     }
     let verdict = if json.verdict == "found" {
@@ -96,10 +96,10 @@ fn print_summary(json: &RegisterJson) {
     } else {
         "not found"
     };
-    println!("{verdict}: {}", json.message);
+    say!("{verdict}: {}", json.message);
     if let Some(t) = json.target_from_view {
         for row in <[[f64; 3]; 2]>::from(t) {
-            println!("  [{:12.7} {:12.7} {:12.3}]", row[0], row[1], row[2]);
+            say!("  [{:12.7} {:12.7} {:12.3}]", row[0], row[1], row[2]);
         }
     }
 }

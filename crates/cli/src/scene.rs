@@ -124,6 +124,26 @@ mod tests {
     }
 
     #[test]
+    fn the_fields_are_those_of_the_simulated_microscope() {
+        let config = scopeservo_twin::Config::realistic();
+        let size = [config.camera.width as f64, config.camera.height as f64];
+        let field = |k: usize| {
+            let o = &config.optics[k];
+            let scale = [o.kx_px_per_m, o.ky_px_per_m].map(f64::abs);
+            [0, 1].map(|i| 1e6 * size[i] / scale[i])
+        };
+        let (wide, narrow) = (field(0), field(config.optics.len() - 1));
+        let (s, c) = MAX_TURN_DEG.to_radians().sin_cos();
+        for i in 0..2 {
+            let more = TARGET_FIELD_UM[i] - narrow[i];
+            assert!((0.0..5.0).contains(&more), "{more}");
+            // The turned target, 15 um of parcentric offset and 3 um of seat must fit in.
+            let half = (c * narrow[i] + s * narrow[1 - i]) / 2.0;
+            assert!(REACH_UM[i] + half + 20.0 <= wide[i] / 2.0);
+        }
+    }
+
+    #[test]
     fn a_specimen_smaller_than_the_view_is_refused() {
         assert!(room([-100.0, 100.0, -100.0, 100.0]).is_err());
         assert!(room([-500.0, 500.0, -500.0, 500.0]).is_ok());

@@ -37,12 +37,6 @@ impl ViewWriter {
             path: folder.clone(),
             source,
         })?;
-        // Views of an earlier run would pass for this one's.
-        let old = fs::read_dir(&folder).into_iter().flatten().flatten();
-        for entry in old.filter(|e| e.path().extension().is_some_and(|x| x == "png")) {
-            let path = entry.path();
-            fs::remove_file(&path).map_err(|source| CliError::Write { path, source })?;
-        }
         Ok(Self {
             folder,
             twin,
@@ -107,6 +101,31 @@ impl ViewWriter {
     }
 }
 
+/// Files that a run leaves in its folder, beside the views.
+const OURS: [&str; 4] = ["report.html", "result.json", "events.json", "views.json"];
+
+/// Removes what an earlier run left in `out`, so that nothing of it can pass for this run's: our four files, and the views
+/// that its `views.json` lists. Other files are not touched.
+pub(crate) fn clear_earlier_run(out: &Path) -> Result<(), CliError> {
+    let listed = fs::read_to_string(out.join("views.json"))
+        .ok()
+        .and_then(|text| serde_json::from_str::<Vec<serde_json::Value>>(&text).ok())
+        .unwrap_or_default();
+    let views = listed
+        .iter()
+        .filter_map(|view| view["sequence"].as_u64())
+        .map(|sequence| out.join("views").join(ViewWriter::file_name(sequence)));
+    for path in views.chain(OURS.map(|name| out.join(name))) {
+        match fs::remove_file(&path) {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                return Err(CliError::Write { path, source });
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
 /// Writes a JSON file whole or not at all.
 pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), CliError> {
     let text = serde_json::to_string_pretty(value)
@@ -115,4 +134,39 @@ pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), CliE
         path: path.into(),
         source,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_an_earlier_run_left_is_removed() {
+        let dir = tempfile::tempdir().unwrap();
+        let out = dir.path();
+        fs::create_dir(out.join("views")).unwrap();
+        let list = r#"[{"sequence": 7, "file": "../../etc/passwd"}]"#;
+        for (name, text) in [
+            ("views.json", list),
+            ("report.html", "old"),
+            ("notes.txt", "mine"),
+            ("views/00007.png", "old"),
+            ("views/holiday.png", "mine"),
+            ("views/00008.png", "not listed"),
+        ] {
+            fs::write(out.join(name), text).unwrap();
+        }
+        clear_earlier_run(out).unwrap();
+        for (name, kept) in [
+            ("views.json", false),
+            ("report.html", false),
+            ("notes.txt", true),
+            ("views/00007.png", false),
+            ("views/holiday.png", true),
+            ("views/00008.png", true),
+        ] {
+            assert_eq!(out.join(name).exists(), kept, "{name}");
+        }
+        clear_earlier_run(out).unwrap();
+    }
 }

@@ -48,7 +48,7 @@ fn files_that_are_no_images_are_exit_2() {
 fn scales_that_are_none_are_exit_2() {
     let dir = tempfile::tempdir().unwrap();
     let (_, _, _, whole) = picture(dir.path());
-    for scale in ["0", "-0.5", "nan", "inf", "0,5", "half"] {
+    for scale in ["0", "-0.5", "nan", "inf", "0,5", "half", "1e308", "1e-30"] {
         assert_bad_input(
             dir.path(),
             &["demo", "--specimen", &whole, "--um-per-px", scale],
@@ -61,6 +61,18 @@ fn scales_that_are_none_are_exit_2() {
 #[test]
 fn a_slide_smaller_than_the_400x_view_is_exit_2() {
     let dir = tempfile::tempdir().unwrap();
+    // Large enough for the view, too small to displace it by 100 um.
+    let (w, h) = (700, 520);
+    let tight = save_gray8(
+        &dir.path().join("tight.png"),
+        w,
+        h,
+        tissue_gray(3, [0.0; 2], w, h),
+    );
+    assert_bad_input(
+        dir.path(),
+        &["demo", "--specimen", text(&tight), "--um-per-px", "0.5"],
+    );
     let small = save_gray8(
         &dir.path().join("small.png"),
         400,
@@ -84,6 +96,7 @@ fn numbers_and_words_that_make_no_sense_are_exit_2() {
         vec!["demo", "--threads", "0"],
         vec!["demo", "--max-iterations", "0"],
         vec!["demo", "--start-um", "300"],
+        vec!["demo", "--start-um", "1e13,0"],
         vec!["demo", "--start-deg", "inf"],
         vec!["demo", "--seed", "-1"],
         vec!["demo", "--nonsense"],

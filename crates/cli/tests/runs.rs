@@ -73,8 +73,12 @@ fn the_kept_views_tell_the_same_errors_as_the_answer() {
     // The slide's seat scatters by 3 um, and each objective looks up to 15 um beside the others.
     assert!((apart(goal, first) - f64::hypot(180.0, 120.0)).abs() < 40.0);
     let told = answer["true_error_um"].as_f64().unwrap();
+    let angle = |view: &serde_json::Value| view["truth"]["angle_deg"].as_f64().unwrap();
+    let turn = (angle(servo[servo.len() - 1]) - angle(target[0])).abs();
+    let told_deg = answer["true_error_deg"].as_f64().unwrap();
+    assert!((turn - told_deg).abs() < 1e-6, "{turn} {told_deg}");
     assert!(
-        (apart(goal, last) - told).abs() < 0.15,
+        (apart(goal, last) - told).abs() < 1e-6,
         "{} {told}",
         apart(goal, last)
     );

@@ -5,7 +5,8 @@
 //! chance with probability p, is at most
 //! `NFA(n, k, p) = (n - 3) C(n, k) C(k, 3) p^(k - 3)`.
 //! Accepting only `NFA < false_alarms` therefore bounds the expected number of false "found" per registration. The
-//! bound needs independent places, so matches are counted on unique places only.
+//! bound needs independent places, so matches are counted on unique places only. It is the bound of that model, not a
+//! theorem about real images: how often unrelated ones are found is measured, too.
 
 use scopeservo_geometry::Vec2;
 

@@ -159,6 +159,8 @@ mod tests {
     #[test]
     fn r_ec_is_its_own_inverse_and_mirrors() {
         let r = r_ec(0.3);
+        let (s, c) = 0.3f64.sin_cos();
+        assert_eq!(r, Mat2([[-s, -c], [-c, s]]));
         assert!((r * r - Mat2::IDENTITY).frobenius() < 1e-15);
         assert!((r.det() + 1.0).abs() < 1e-15);
     }

@@ -4,11 +4,12 @@ mod common;
 
 use common::{Listener, PLACE_UM, bench, bench_over, one_objective, options};
 use scopeservo_geometry::Mat2;
-use scopeservo_scope::{Motion, ScopeError};
+use scopeservo_scope::{Axis, Motion, ScopeError};
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Event, Focus, FocusOptions, NoSink, Progress, Reposition, Servo,
-    ServoEnd, ServoError, ServoOptions, ServoTask, VisionOptions, run,
+    ServoEnd, ServoError, ServoOptions, ServoTask, Target, VisionOptions, run,
 };
+use scopeservo_twin::StageFault;
 use scopeservo_twin::specimen::Blank;
 use std::sync::Arc;
 
@@ -96,6 +97,38 @@ fn a_calibration_with_the_wrong_sign_is_stopped_before_it_runs_away() {
     assert!(matches!(end, ServoEnd::Diverged(_)), "{end:?}");
     let (um, _) = bench.error_from(&truth);
     assert!(um < 120.0, "it ran {um} um before it was stopped");
+}
+
+#[test]
+fn steps_lost_while_calibrating_are_noticed() {
+    let bench = bench(one_objective());
+    let (target, _) = bench.save();
+    let mut sink = Listener(|event: &Event| {
+        if matches!(event, Event::CalibrationView { index: 2, .. }) {
+            let slip = StageFault::LostSteps {
+                axis: Axis::X,
+                si: 15e-6,
+            };
+            bench.twin.fault(slip);
+        }
+    });
+    let mut machine = Reposition::new(target, options());
+    let outcome = run(&mut machine, &bench.scope, &mut sink).unwrap();
+    assert_eq!(
+        outcome.reason,
+        scopeservo_servo::Reason::CalibrationFailed,
+        "{}",
+        outcome.message
+    );
+}
+
+#[test]
+fn a_blank_target_is_refused_before_anything_moves() {
+    let bench = bench_over(one_objective(), Arc::new(Blank), Vec::new());
+    let target = Target::save(&bench.scope, &VisionOptions::default(), &mut NoSink).unwrap();
+    let outcome = bench.reposition(target).unwrap();
+    assert_eq!(outcome.reason, scopeservo_servo::Reason::BlankTarget);
+    assert_eq!(bench.scope.counters().moves, 0);
 }
 
 #[test]

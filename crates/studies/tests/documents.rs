@@ -122,6 +122,49 @@ fn crates_know_only_what_the_architecture_allows() {
 }
 
 #[test]
+fn libraries_keep_to_themselves() {
+    let no_output = ["println!", "eprintln!", "std::io::stdout"];
+    let no_world = ["std::fs", "SystemTime", "Instant::now", "std::env::var"];
+    for (name, forbidden) in [
+        ("sift", [&no_output[..], &no_world].concat()),
+        ("geometry", [&no_output[..], &no_world].concat()),
+        ("registration", [&no_output[..], &no_world].concat()),
+        ("servo", [&no_output[..], &no_world].concat()),
+        ("twin", no_output.to_vec()),
+        ("scope", no_output.to_vec()),
+        ("report", no_output.to_vec()),
+        ("slide", no_output.to_vec()),
+    ] {
+        let mut sources = String::new();
+        rust_sources(&root().join("crates").join(name).join("src"), &mut sources);
+        assert!(!sources.is_empty());
+        for word in forbidden {
+            assert!(!sources.contains(word), "{name} uses {word}");
+        }
+    }
+}
+
+#[test]
+fn every_study_is_in_the_measured_page() {
+    let page = fs::read_to_string(root().join("docs/measured.md")).unwrap();
+    for study in fs::read_dir(root().join("crates/studies/examples"))
+        .unwrap()
+        .flatten()
+    {
+        let name = study
+            .path()
+            .file_stem()
+            .unwrap()
+            .to_string_lossy()
+            .into_owned();
+        assert!(
+            page.contains(&format!("--example {name}")),
+            "{name} is not measured"
+        );
+    }
+}
+
+#[test]
 fn files_that_the_documents_link_to_are_there() {
     for document in [
         "README.md",

@@ -1,0 +1,215 @@
+//! The registration on made-up features: what is found, what is not, and how often by chance.
+
+use scopeservo_geometry::{Affine2, Similarity, SplitMix64};
+use scopeservo_registration::{
+    Method, NotFound, Options, Prior, RotationPrior, ScalePrior, register,
+};
+use scopeservo_sift::{Descriptor, Features, Keypoint};
+
+const SIZE: [usize; 2] = [640, 480];
+
+fn empty() -> Features {
+    Features {
+        width: SIZE[0],
+        height: SIZE[1],
+        keypoints: Vec::new(),
+        descriptors: Vec::new(),
+    }
+}
+
+fn keypoint(at: [f64; 2], sigma: f64, angle: f64) -> Keypoint {
+    Keypoint {
+        x: at[0] as f32,
+        y: at[1] as f32,
+        sigma: sigma as f32,
+        angle: angle.sin().atan2(angle.cos()) as f32,
+        response: 0.1,
+        octave: 0,
+        layer: 1,
+    }
+}
+
+fn place(rng: &mut SplitMix64) -> [f64; 2] {
+    [rng.uniform() * 640.0, rng.uniform() * 480.0]
+}
+
+const TRUTH: Similarity = Similarity {
+    scale: 1.4,
+    angle_rad: 0.6,
+    offset: [30.0, -80.0],
+};
+
+/// `good` pairs that obey TRUTH with `noise` px and `bad` pairs that obey nothing; a pair shares its descriptor. The good
+/// ones lie within `spot` of the picture's size.
+fn pairs(good: usize, bad: usize, noise: f64, seed: u64, spot: f64) -> (Features, Features) {
+    let mut rng = SplitMix64::new(seed);
+    let (mut view, mut target) = (empty(), empty());
+    let truth = Affine2::from(TRUTH);
+    for i in 0..good + bad {
+        let descriptor = Descriptor(std::array::from_fn(|_| rng.below(120) as u8));
+        let anywhere = place(&mut rng);
+        let p = [0, 1].map(|k| 200.0 + spot * (anywhere[k] - 200.0));
+        let (sigma, angle) = (2.0 + 2.0 * rng.uniform(), 6.0 * rng.uniform());
+        view.keypoints.push(keypoint(p, sigma, angle));
+        target.keypoints.push(if i < good {
+            let q = truth.apply(p);
+            let q = [q[0] + noise * rng.normal(), q[1] + noise * rng.normal()];
+            keypoint(q, 1.4 * sigma, angle + 0.6)
+        } else {
+            let (s, a) = (2.0 + 4.0 * rng.uniform(), 6.0 * rng.uniform());
+            keypoint(place(&mut rng), s, a)
+        });
+        view.descriptors.push(descriptor);
+        target.descriptors.push(descriptor);
+    }
+    (view, target)
+}
+
+#[test]
+fn a_quarter_of_good_matches_is_found_by_both_methods() {
+    for method in [Method::Oriented, Method::ThreePoint] {
+        let (view, target) = pairs(60, 180, 0.3, 1, 1.0);
+        let options = Options {
+            method,
+            ..Options::default()
+        };
+        let answer = register(&view, &target, &Prior::default(), &options);
+        let found = answer.found().expect("60 of 240 agree");
+        assert!((55..=64).contains(&answer.inliers), "{}", answer.inliers);
+        let centre = [319.5, 239.5];
+        let (p, q) = (
+            found.target_from_view.apply(centre),
+            Affine2::from(TRUTH).apply(centre),
+        );
+        let off = f64::hypot(p[0] - q[0], p[1] - q[1]);
+        assert!(off < 6.0 * found.sigma_px && off < 0.5, "{method:?} {off}");
+    }
+}
+
+#[test]
+fn the_claimed_sigmas_are_the_scatter() {
+    let (mut place_sq, mut turn_sq) = (0.0, 0.0);
+    let draws = 200;
+    for seed in 0..draws {
+        let (view, target) = pairs(80, 40, 0.4, seed, 1.0);
+        let answer = register(&view, &target, &Prior::default(), &Options::default());
+        let found = answer.found().expect("80 of 120 agree");
+        let centre = [319.5, 239.5];
+        let (p, q) = (
+            found.target_from_view.apply(centre),
+            Affine2::from(TRUTH).apply(centre),
+        );
+        let off_sq = ((p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2)) / 2.0;
+        place_sq += off_sq / found.sigma_px.powi(2);
+        let angle = found.target_from_view.linear.rotation_angle();
+        let turn = angle.expect("a found transform turns") - 0.6;
+        turn_sq += (turn / found.sigma_angle_rad).powi(2);
+    }
+    let [place, turn] = [place_sq, turn_sq].map(|s: f64| (s / draws as f64).sqrt());
+    assert!((0.8..1.25).contains(&place), "place {place}");
+    assert!((0.8..1.25).contains(&turn), "turn {turn}");
+}
+
+#[test]
+fn random_matches_are_found_less_often_than_promised() {
+    // At one false alarm in ten: the bound is far from tight, and must hold.
+    let options = Options {
+        false_alarms: 0.1,
+        max_corner_sigma_px: f64::INFINITY,
+        ..Options::default()
+    };
+    let known = Prior {
+        scale: Some(ScalePrior {
+            ratio: 1.4,
+            tolerance: 0.1,
+        }),
+        rotation: Some(RotationPrior {
+            angle_rad: 0.6,
+            tolerance_rad: 0.2,
+        }),
+    };
+    for prior in [Prior::default(), known] {
+        let found = (0..300)
+            .filter(|&seed| {
+                let (view, target) = pairs(0, 400, 0.0, 1000 + seed, 1.0);
+                register(&view, &target, &prior, &options).found().is_some()
+            })
+            .count();
+        assert!(found <= 30, "{found} of 300");
+    }
+}
+
+#[test]
+fn what_is_not_found_says_why() {
+    let options = Options::default();
+    let reason = |v: &Features, t: &Features, p: &Prior, o: &Options| {
+        let answer = register(v, t, p, o);
+        answer.outcome.expect_err("this is not to be found")
+    };
+    let (view, target) = pairs(50, 0, 0.2, 3, 1.0);
+    let free = Prior::default();
+    let none = reason(&empty(), &target, &free, &options);
+    assert!(
+        matches!(none, NotFound::TooFewFeatures { view: 0, .. }),
+        "{none}"
+    );
+    let (other, _) = pairs(50, 0, 0.2, 4, 1.0);
+    let strict = Options {
+        ratio: 0.1,
+        ..options
+    };
+    let unlike = reason(&other, &target, &free, &strict);
+    assert!(matches!(unlike, NotFound::TooFewMatches { .. }), "{unlike}");
+    // A scale that the prior rules out.
+    let wrong = Prior {
+        scale: Some(ScalePrior {
+            ratio: 4.0,
+            tolerance: 0.03,
+        }),
+        rotation: None,
+    };
+    let ruled_out = reason(&view, &target, &wrong, &options);
+    assert!(
+        matches!(ruled_out, NotFound::TooFewMatches { .. }),
+        "{ruled_out}"
+    );
+    // Nothing agrees, and a handful among many proves nothing.
+    let (view, target) = pairs(0, 300, 0.2, 5, 1.0);
+    let nothing = reason(&view, &target, &free, &options);
+    assert!(
+        matches!(
+            nothing,
+            NotFound::NoAgreement { .. } | NotFound::ByChance { .. }
+        ),
+        "{nothing}"
+    );
+    let (view, target) = pairs(6, 40, 0.2, 5, 1.0);
+    let chance = reason(&view, &target, &free, &options);
+    assert!(matches!(chance, NotFound::ByChance { .. }), "{chance}");
+    // Many, but all in one part: they cannot tell where the corners go.
+    let (view, target) = pairs(60, 0, 1.0, 6, 0.25);
+    let loose = Options {
+        max_corner_sigma_px: 0.3,
+        ..options
+    };
+    let open = reason(&view, &target, &free, &loose);
+    assert!(matches!(open, NotFound::Uncertain { .. }), "{open}");
+}
+
+#[test]
+fn a_mirrored_arrangement_is_not_found() {
+    let (view, mut target) = pairs(120, 0, 0.2, 7, 1.0);
+    for k in &mut target.keypoints {
+        k.x = 639.0 - k.x;
+        k.angle = std::f32::consts::PI - k.angle;
+    }
+    let answer = register(&view, &target, &Prior::default(), &Options::default());
+    assert!(answer.found().is_none());
+}
+
+#[test]
+fn the_same_input_gives_the_same_answer() {
+    let (view, target) = pairs(60, 180, 0.3, 8, 1.0);
+    let answer = || register(&view, &target, &Prior::default(), &Options::default());
+    assert_eq!(answer(), answer());
+}
