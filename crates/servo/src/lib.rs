@@ -12,18 +12,20 @@ mod control;
 mod error;
 mod event;
 mod focus;
+mod hand_eye;
 mod kinematics;
 mod procedure;
 mod reposition;
 pub mod servo;
 mod vision;
 
-pub use calibrate::{Calibrate, CalibrateOptions, Observation, solve_hand_eye};
+pub use calibrate::{Calibrate, CalibrateOptions};
 pub use calibration::{CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
 pub use control::{PoseError, control_law, motion_of, pose_error};
 pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};
 pub use focus::{Focus, FocusOptions, FocusResult, sharpness};
+pub use hand_eye::{Observation, solve_hand_eye};
 pub use kinematics::{Motion2, PlanarPose, motion_between, pose_after};
 pub use procedure::{Procedure, Progress, run};
 pub use reposition::{
