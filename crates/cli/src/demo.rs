@@ -1,24 +1,20 @@
 //! `scopeservo demo`: a reposition on a simulated microscope, from saving the view to the report.
 
 use crate::args::{DemoArgs, Method, Noise};
+use crate::bench::{Bench, displace, save_target};
 use crate::error::CliError;
 use crate::output::{self, DemoJson, SCHEMA};
 use crate::progress::Watcher;
-use crate::scene::{self, Scene};
 use crate::views::{ViewWriter, clear_earlier_run, write_json};
 use scopeservo_report as report;
-use scopeservo_scope::{
-    CancelToken, CheckedStage, Clock, Instrument, Limits, ObjectiveId, VirtualClock,
-};
+use scopeservo_scope::{Instrument, ObjectiveId};
 use scopeservo_servo::{
-    Engine, Event, Focus, FocusOptions, FrameRole, Outcome, Reason, Reposition, RepositionOptions,
-    ServoError, ServoOptions, Sink, Stamped, Target, Verdict, VisionOptions,
+    Engine, Event, Outcome, Reason, Reposition, RepositionOptions, ServoError, ServoOptions, Sink,
+    Stamped, Verdict,
 };
-use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
-use scopeservo_twin::{Config, Truth, Twin};
+use scopeservo_twin::Truth;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
 
 const DEFAULT_OUT: &str = "scopeservo-demo";
@@ -78,109 +74,9 @@ fn run_options(args: &DemoArgs) -> RepositionOptions {
     }
 }
 
-/// The simulated bench: a microscope with the slide on it, and what only the simulation knows.
-struct Bench {
-    twin: Twin,
-    scope: Instrument,
-    specimen: Arc<dyn Specimen>,
-    scene: Scene,
-}
-
-fn bench(args: &DemoArgs) -> Result<Bench, CliError> {
-    let specimen: Arc<dyn Specimen> = match &args.specimen {
-        Some(path) => Arc::new(FileSpecimen::open(path, args.um_per_px)?),
-        None => Arc::new(Tissue::new(args.seed)),
-    };
-    let scene = scene::draw(&*specimen, args.seed, args.start_um, args.start_deg)?;
-    let config = match args.noise {
-        Noise::Default => Config::realistic(),
-        Noise::None => Config::noiseless(),
-    };
-    let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-    let twin = Twin::new(config, specimen.clone(), args.seed, clock.clone())?;
-    let cancel = CancelToken::new();
-    let (wish, stage) = (cancel.clone(), twin.stage());
-    ctrlc::set_handler(move || {
-        if wish.is_cancelled() {
-            // Asked twice: the stage was told to stop, and nobody waits any longer.
-            std::process::exit(1);
-        }
-        wish.cancel();
-        // From here too, should the working thread hang in a device.
-        if let Err(error) = stage.stop() {
-            eprintln!("scopeservo: the stage did not take the stop: {error}");
-        }
-    })
-    .map_err(|e| CliError::Internal(format!("Ctrl-C could not be provided for: {e}")))?;
-    let scope = Instrument::new(
-        CheckedStage::new(twin.stage(), &Limits::default())?,
-        twin.camera(),
-        twin.nosepiece(),
-        clock,
-        cancel,
-    );
-    Ok(Bench {
-        twin,
-        scope,
-        specimen,
-        scene,
-    })
-}
-
-/// Saves the target: the highest magnification, focused, over the scene's place. `None` when nothing is to be seen there.
-fn save_target(
-    bench: &Bench,
-    vision: &VisionOptions,
-    watcher: &mut Watcher,
-) -> Result<Result<(Target, Truth), ServoError>, CliError> {
-    let scope = &bench.scope;
-    let best = scope
-        .nosepiece()
-        .objectives()
-        .iter()
-        .max_by(|a, b| a.magnification.total_cmp(&b.magnification))
-        .cloned()
-        .ok_or_else(|| CliError::Internal("the simulated nosepiece is empty".into()))?;
-    scope.select_objective(&best.id)?;
-    bench.twin.centre_specimen(bench.scene.target_um, 0.0);
-    let mut focus = Focus::new(best, FocusOptions::default());
-    // The sweep before saving is not part of the run that the report tells of.
-    match scopeservo_servo::run(&mut focus, scope, &mut scopeservo_servo::NoSink) {
-        Ok(_) => {}
-        Err(error @ ServoError::NoFocus { .. }) => return Ok(Err(error)),
-        Err(error) => return Err(error.into()),
-    }
-    let mut last = LastFrame {
-        watcher,
-        sequence: 0,
-    };
-    let target = Target::save(scope, vision, &mut last)?;
-    let truth = bench
-        .twin
-        .truth(last.sequence)
-        .ok_or_else(|| CliError::Internal("the simulation forgot the target's pose".into()))?;
-    Ok(Ok((target, truth)))
-}
-
-/// Passes everything on and remembers the last frame's number.
-struct LastFrame<'a> {
-    watcher: &'a mut Watcher,
-    sequence: u64,
-}
-
-impl Sink for LastFrame<'_> {
-    fn event(&mut self, event: Stamped) {
-        self.watcher.event(event);
-    }
-    fn frame(&mut self, frame: &scopeservo_scope::Frame, role: FrameRole) {
-        self.sequence = frame.sequence;
-        self.watcher.frame(frame, role);
-    }
-}
-
 fn demo(args: &DemoArgs) -> Result<bool, CliError> {
     let started = Instant::now();
-    let bench = bench(args)?;
+    let bench = Bench::new(args)?;
     let out = args
         .out
         .clone()
@@ -276,21 +172,6 @@ fn last_frame(watcher: &Watcher) -> Option<u64> {
             _ => None,
         })
         .next()
-}
-
-/// Puts the slide back so that the view's centre lies at `target + start_um`, the slide turned about the target.
-fn displace(bench: &Bench) {
-    let Scene {
-        target_um,
-        start_um,
-        turn_deg,
-    } = bench.scene;
-    let (s, c) = turn_deg.to_radians().sin_cos();
-    let shift_um = [
-        -(c * start_um[0] - s * start_um[1]),
-        -(s * start_um[0] + c * start_um[1]),
-    ];
-    bench.twin.remount(target_um, shift_um, turn_deg, false);
 }
 
 fn nothing_to_save(error: &ServoError, scope: &Instrument, watcher: &mut Watcher) -> Outcome {

@@ -21,6 +21,7 @@ macro_rules! say {
 }
 
 mod args;
+mod bench;
 mod demo;
 mod error;
 mod output;

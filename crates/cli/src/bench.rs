@@ -1,0 +1,132 @@
+//! The demo's bench: a simulated microscope with a slide on it, the saving of the target, and the displacing of the slide.
+
+use crate::args::{DemoArgs, Noise};
+use crate::error::CliError;
+use crate::progress::Watcher;
+use crate::scene::{self, Scene};
+use scopeservo_scope::{CancelToken, CheckedStage, Clock, Frame, Instrument, Limits, VirtualClock};
+use scopeservo_servo::{
+    Focus, FocusOptions, FrameRole, NoSink, ServoError, Sink, Stamped, Target, VisionOptions,
+};
+use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
+use scopeservo_twin::{Config, Truth, Twin};
+use std::sync::Arc;
+
+/// The simulated bench: a microscope with the slide on it, and what only the simulation knows.
+pub(crate) struct Bench {
+    pub(crate) twin: Twin,
+    pub(crate) scope: Instrument,
+    pub(crate) specimen: Arc<dyn Specimen>,
+    pub(crate) scene: Scene,
+}
+
+impl Bench {
+    /// The specimen that was asked for under a microscope that Ctrl-C stops.
+    pub(crate) fn new(args: &DemoArgs) -> Result<Self, CliError> {
+        let specimen: Arc<dyn Specimen> = match &args.specimen {
+            Some(path) => Arc::new(FileSpecimen::open(path, args.um_per_px)?),
+            None => Arc::new(Tissue::new(args.seed)),
+        };
+        let scene = scene::draw(&*specimen, args.seed, args.start_um, args.start_deg)?;
+        let config = match args.noise {
+            Noise::Default => Config::realistic(),
+            Noise::None => Config::noiseless(),
+        };
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
+        let twin = Twin::new(config, specimen.clone(), args.seed, clock.clone())?;
+        let cancel = CancelToken::new();
+        let (wish, stage) = (cancel.clone(), twin.stage());
+        ctrlc::set_handler(move || {
+            if wish.is_cancelled() {
+                // Asked twice: the stage was told to stop, and nobody waits any longer.
+                std::process::exit(1);
+            }
+            wish.cancel();
+            // From here too, should the working thread hang in a device.
+            if let Err(error) = stage.stop() {
+                eprintln!("scopeservo: the stage did not take the stop: {error}");
+            }
+        })
+        .map_err(|e| CliError::Internal(format!("Ctrl-C could not be provided for: {e}")))?;
+        let scope = Instrument::new(
+            CheckedStage::new(twin.stage(), &Limits::default())?,
+            twin.camera(),
+            twin.nosepiece(),
+            clock,
+            cancel,
+        );
+        Ok(Bench {
+            twin,
+            scope,
+            specimen,
+            scene,
+        })
+    }
+}
+
+/// Saves the target: the highest magnification, focused, over the scene's place. The inner error is that of a focus over
+/// nothing: an answer, not a fault.
+pub(crate) fn save_target(
+    bench: &Bench,
+    vision: &VisionOptions,
+    watcher: &mut Watcher,
+) -> Result<Result<(Target, Truth), ServoError>, CliError> {
+    let scope = &bench.scope;
+    let best = scope
+        .nosepiece()
+        .objectives()
+        .iter()
+        .max_by(|a, b| a.magnification.total_cmp(&b.magnification))
+        .cloned()
+        .ok_or_else(|| CliError::Internal("the simulated nosepiece is empty".into()))?;
+    scope.select_objective(&best.id)?;
+    bench.twin.centre_specimen(bench.scene.target_um, 0.0);
+    let mut focus = Focus::new(best, FocusOptions::default());
+    // The sweep before saving is not part of the run that the report tells of.
+    match scopeservo_servo::run(&mut focus, scope, &mut NoSink) {
+        Ok(_) => {}
+        Err(error @ ServoError::NoFocus { .. }) => return Ok(Err(error)),
+        Err(error) => return Err(error.into()),
+    }
+    let mut last = LastFrame {
+        watcher,
+        sequence: 0,
+    };
+    let target = Target::save(scope, vision, &mut last)?;
+    let truth = bench
+        .twin
+        .truth(last.sequence)
+        .ok_or_else(|| CliError::Internal("the simulation forgot the target's pose".into()))?;
+    Ok(Ok((target, truth)))
+}
+
+/// Passes everything on and remembers the last frame's number.
+struct LastFrame<'a> {
+    watcher: &'a mut Watcher,
+    sequence: u64,
+}
+
+impl Sink for LastFrame<'_> {
+    fn event(&mut self, event: Stamped) {
+        self.watcher.event(event);
+    }
+    fn frame(&mut self, frame: &Frame, role: FrameRole) {
+        self.sequence = frame.sequence;
+        self.watcher.frame(frame, role);
+    }
+}
+
+/// Puts the slide back so that the view's centre lies at `target + start_um`, the slide turned about the target.
+pub(crate) fn displace(bench: &Bench) {
+    let Scene {
+        target_um,
+        start_um,
+        turn_deg,
+    } = bench.scene;
+    let (s, c) = turn_deg.to_radians().sin_cos();
+    let shift_um = [
+        -(c * start_um[0] - s * start_um[1]),
+        -(s * start_um[0] + c * start_um[1]),
+    ];
+    bench.twin.remount(target_um, shift_um, turn_deg, false);
+}
