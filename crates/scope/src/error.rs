@@ -9,7 +9,7 @@ use thiserror::Error;
 pub enum ScopeError {
     /// The place asked for is outside the limits. Nothing moved.
     #[error(
-        "the move was refused: {axis} = {asked} {unit} is outside {min} to {max} {unit}; nothing moved. \
+        "the move was refused: {axis} = {asked:.1} {unit} is outside {min:.1} to {max:.1} {unit}; nothing moved. \
          Move the specimen nearer to the middle of the travel, or widen the limits if the instrument allows it",
         unit = axis.display_unit()
     )]
