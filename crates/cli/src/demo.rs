@@ -85,9 +85,12 @@ fn demo(args: &DemoArgs) -> Result<bool, CliError> {
         path: out.clone(),
         source,
     })?;
-    clear_earlier_run(&out)?;
+    // Without views the report and the result replace those of an earlier run at the end, whole; until then they stay.
     let views = match &args.out {
-        Some(out) => Some(ViewWriter::new(out, bench.twin.clone())?),
+        Some(out) => {
+            clear_earlier_run(out)?;
+            Some(ViewWriter::new(out, bench.twin.clone())?)
+        }
         None => None,
     };
     let mut watcher = Watcher::new(views);
