@@ -4,10 +4,8 @@ use crate::args::{DemoArgs, Noise};
 use crate::error::CliError;
 use crate::progress::Watcher;
 use crate::scene::{self, Scene};
-use scopeservo_scope::{CancelToken, CheckedStage, Clock, Frame, Instrument, Limits, VirtualClock};
-use scopeservo_servo::{
-    Focus, FocusOptions, FrameRole, NoSink, ServoError, Sink, Stamped, Target, VisionOptions,
-};
+use scopeservo_scope::{CancelToken, CheckedStage, Clock, Instrument, Limits, VirtualClock};
+use scopeservo_servo::{Focus, FocusOptions, NoSink, ServoError, Target, VisionOptions};
 use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
 use scopeservo_twin::{Config, Truth, Twin};
 use std::sync::Arc;
@@ -88,32 +86,12 @@ pub(crate) fn save_target(
         Err(error @ ServoError::NoFocus { .. }) => return Ok(Err(error)),
         Err(error) => return Err(error.into()),
     }
-    let mut last = LastFrame {
-        watcher,
-        sequence: 0,
-    };
-    let target = Target::save(scope, vision, &mut last)?;
-    let truth = bench
-        .twin
-        .truth(last.sequence)
+    let target = Target::save(scope, vision, watcher)?;
+    let truth = watcher
+        .last_frame()
+        .and_then(|sequence| bench.twin.truth(sequence))
         .ok_or_else(|| CliError::Internal("the simulation forgot the target's pose".into()))?;
     Ok(Ok((target, truth)))
-}
-
-/// Passes everything on and remembers the last frame's number.
-struct LastFrame<'a> {
-    watcher: &'a mut Watcher,
-    sequence: u64,
-}
-
-impl Sink for LastFrame<'_> {
-    fn event(&mut self, event: Stamped) {
-        self.watcher.event(event);
-    }
-    fn frame(&mut self, frame: &Frame, role: FrameRole) {
-        self.sequence = frame.sequence;
-        self.watcher.frame(frame, role);
-    }
 }
 
 /// Puts the slide back so that the view's centre lies at `target + start_um`, the slide turned about the target.

@@ -114,7 +114,9 @@ fn demo(args: &DemoArgs) -> Result<bool, CliError> {
     scope.check_cancel()?;
 
     // The truth is that of the last frame: nothing moved after it, and whoever keeps the views can recompute it.
-    let last = last_frame(&watcher).and_then(|sequence| bench.twin.truth(sequence));
+    let last = watcher
+        .last_frame()
+        .and_then(|sequence| bench.twin.truth(sequence));
     let arrival = target_truth
         .as_ref()
         .zip(last)
@@ -164,17 +166,6 @@ fn demo(args: &DemoArgs) -> Result<bool, CliError> {
         print_summary(&json, &report_path, started);
     }
     Ok(outcome.verdict == Verdict::Arrived)
-}
-
-/// The number of the last frame of the run.
-fn last_frame(watcher: &Watcher) -> Option<u64> {
-    let events = watcher.recorder.events().iter().rev();
-    events
-        .filter_map(|e| match e.event {
-            Event::FrameGrabbed { sequence, .. } => Some(sequence),
-            _ => None,
-        })
-        .next()
 }
 
 fn nothing_to_save(error: &ServoError, scope: &Instrument, watcher: &mut Watcher) -> Outcome {

@@ -36,6 +36,15 @@ impl Watcher {
         }
     }
 
+    /// The number of the last frame grabbed.
+    pub(crate) fn last_frame(&self) -> Option<u64> {
+        let mut events = self.recorder.events().iter().rev();
+        events.find_map(|e| match e.event {
+            Event::FrameGrabbed { sequence, .. } => Some(sequence),
+            _ => None,
+        })
+    }
+
     pub(crate) fn finish(&self) {
         self.bar.finish_and_clear();
     }
