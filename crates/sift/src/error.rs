@@ -1,6 +1,8 @@
 //! What can go wrong before or after the arithmetic. The arithmetic itself does not fail: an image without features gives
 //! empty [`Features`](crate::Features).
 
+use crate::Level;
+
 /// An input that this crate refuses, with what it found and what it needs.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -46,6 +48,12 @@ pub enum SiftError {
         value: f64,
         /// The range in words.
         need: &'static str,
+    },
+    /// An instruction set that this processor does not have.
+    #[error("this processor has no {level}; ask for the best level instead of a certain one")]
+    LevelUnavailable {
+        /// The level asked for.
+        level: Level,
     },
     /// Features, usually deserialised ones, with unequal numbers of keypoints and descriptors.
     #[error(

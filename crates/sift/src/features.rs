@@ -1,14 +1,8 @@
-//! Keypoints with their descriptors, and the walk through the stages that makes them.
+//! Keypoints with their descriptors.
 
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::contrast::Contrast;
-use crate::describe::{Descriptor, describe};
-use crate::detect::{Extremum, extrema};
-use crate::orient::orientations;
-use crate::scale_space::{Octaves, Plane};
-use crate::{GrayImage, Options, SiftError};
+use crate::{Descriptor, SiftError};
 
 /// A place in an image with a size and a direction.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -102,86 +96,5 @@ impl Features {
             Some(index) => Err(SiftError::BadKeypoint { index }),
             None => Ok(()),
         }
-    }
-}
-
-/// Detects, orients and describes the features of `image`.
-///
-/// The `options.max_features` strongest extrema are kept and then oriented, so that the result may hold about a third more. The
-/// result is the same on any number of threads. An image without structure, or too small for the first octave (fewer than 12
-/// pixels on a side after doubling), gives no features.
-///
-/// Memory: the planes of one octave, `2 intervals + 5` floats per pixel of the (doubled) image, plus `intervals` per pixel of
-/// each octave done.
-///
-/// # Errors
-/// [`SiftError::Option`] when `options` fail their [check](Options::check).
-pub fn detect_and_describe(image: &GrayImage, options: &Options) -> Result<Features, SiftError> {
-    options.check()?;
-    let mut features = Features {
-        width: image.width(),
-        height: image.height(),
-        keypoints: Vec::new(),
-        descriptors: Vec::new(),
-    };
-    let Some(contrast) = Contrast::of(image, options) else {
-        return Ok(features);
-    };
-
-    let mut found = Vec::new();
-    let mut layers: Vec<Vec<Plane>> = Vec::new();
-    for mut octave in Octaves::new(image, options) {
-        found.extend(extrema(&octave, &contrast, options));
-        // Orientation and description need the Gaussian layers in which extrema can lie, and nothing else.
-        octave.gaussians.truncate(options.intervals + 1);
-        layers.push(octave.gaussians.split_off(1));
-    }
-    found.sort_unstable_by(Extremum::rank);
-    found.truncate(options.max_features);
-
-    // Neighbours in the image one after the other, which is kinder to the caches than order of strength.
-    let mut walk: Vec<usize> = (0..found.len()).collect();
-    walk.sort_unstable_by_key(|&i| {
-        (
-            found[i].octave,
-            found[i].layer,
-            found[i].y as u32 / 32,
-            found[i].x as u32,
-        )
-    });
-    let mut described: Vec<(usize, Vec<(Keypoint, Descriptor)>)> = walk
-        .into_par_iter()
-        .with_min_len(8)
-        .map(|i| {
-            let e = &found[i];
-            let plane = &layers[(e.octave - options.first_octave()) as usize][e.layer - 1];
-            let features = orientations(plane, e.x, e.y, e.sigma)
-                .into_iter()
-                .map(|angle| {
-                    (
-                        keypoint(e, angle),
-                        describe(plane, e.x, e.y, e.sigma, angle),
-                    )
-                })
-                .collect();
-            (i, features)
-        })
-        .collect();
-    described.sort_unstable_by_key(|(i, _)| *i);
-    (features.keypoints, features.descriptors) = described.into_iter().flat_map(|(_, f)| f).unzip();
-    Ok(features)
-}
-
-/// From the frame of the octave to that of the image.
-fn keypoint(e: &Extremum, angle: f32) -> Keypoint {
-    let pixel = (e.octave as f32).exp2();
-    Keypoint {
-        x: e.x * pixel,
-        y: e.y * pixel,
-        sigma: e.sigma * pixel,
-        angle,
-        response: e.response,
-        octave: e.octave,
-        layer: e.layer as u32,
     }
 }

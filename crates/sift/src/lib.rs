@@ -29,6 +29,7 @@
 mod contrast;
 mod describe;
 mod detect;
+mod engine;
 mod error;
 mod features;
 mod gradient;
@@ -37,10 +38,13 @@ mod matching;
 mod options;
 mod orient;
 mod scale_space;
+mod simd;
 
 pub use describe::Descriptor;
+pub use engine::{Sift, detect_and_describe};
 pub use error::SiftError;
-pub use features::{Features, Keypoint, detect_and_describe};
+pub use features::{Features, Keypoint};
 pub use image::GrayImage;
 pub use matching::{Match, MatchOptions, match_features, match_features_gated};
 pub use options::Options;
+pub use simd::{Level, Simd};

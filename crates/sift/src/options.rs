@@ -22,8 +22,10 @@ pub struct Options {
     pub sigma: f32,
     /// Gaussian sigma of the blur which the image already has, in its pixels (section 3.3).
     pub assumed_blur: f32,
-    /// Start from the image at twice its size (section 3.3): about four times the keypoints and the time.
-    pub upsample: bool,
+    /// Where the search begins, -1 to 8: pixels of octave o are `2^o` image pixels. -1 starts from the image at twice its size
+    /// (section 3.3): about four times the keypoints and the time of 0. A positive number leaves out the finest octaves, for a
+    /// known ratio of scales that has no use for them.
+    pub first_octave: i32,
     /// Scale the contrast threshold with the 1-99 % range of the image and raise it above the noise, so that a dim image gives
     /// the keypoints of the bright one.
     pub adapt_contrast: bool,
@@ -38,7 +40,7 @@ impl Default for Options {
             intervals: 3,
             sigma: 1.6,
             assumed_blur: 0.5,
-            upsample: true,
+            first_octave: -1,
             adapt_contrast: true,
         }
     }
@@ -50,9 +52,11 @@ impl Options {
     /// # Errors
     /// [`SiftError::Option`] names the first field that is outside.
     pub fn check(&self) -> Result<(), SiftError> {
-        let least_sigma = f64::from(self.assumed_blur) * if self.upsample { 2.0 } else { 1.0 };
+        // The blur that the image already has, in pixels of the first octave that is built from it.
+        let least_sigma =
+            f64::from(self.assumed_blur) * if self.first_octave < 0 { 2.0 } else { 1.0 };
         let sigma = f64::from(self.sigma);
-        let checks: [(bool, &'static str, f64, &'static str); 6] = [
+        let checks: [(bool, &'static str, f64, &'static str); 7] = [
             (
                 self.max_features >= 1,
                 "max_features",
@@ -89,16 +93,17 @@ impl Options {
                 sigma,
                 "0.5 to 16 and above the assumed blur (above twice that when upsampling)",
             ),
+            (
+                (-1..=8).contains(&self.first_octave),
+                "first_octave",
+                f64::from(self.first_octave),
+                "-1 (doubled image) to 8",
+            ),
         ];
         match checks.into_iter().find(|(ok, ..)| !ok) {
             Some((_, name, value, need)) => Err(SiftError::Option { name, value, need }),
             None => Ok(()),
         }
-    }
-
-    /// Index of the first octave: pixels of octave o are 2^o input pixels wide.
-    pub(crate) fn first_octave(&self) -> i32 {
-        if self.upsample { -1 } else { 0 }
     }
 
     /// Gaussian sigma at (fractional) layer `s` of an octave, in pixels of that octave.

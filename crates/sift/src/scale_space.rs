@@ -240,8 +240,8 @@ pub(crate) struct Octaves {
 impl Octaves {
     /// Blurs the (doubled) image to `options.sigma`. `options` are checked.
     pub(crate) fn new(image: &GrayImage, options: &Options) -> Self {
-        let index = options.first_octave();
-        let (raw, blur) = if options.upsample {
+        let index = options.first_octave;
+        let (raw, blur) = if options.first_octave < 0 {
             (doubled(image), 2.0 * f64::from(options.assumed_blur))
         } else {
             let plane = Plane {
@@ -257,11 +257,17 @@ impl Octaves {
         let steps = (1..options.intervals + 3)
             .map(|s| step(sigma_at(s - 1), sigma_at(s)))
             .collect();
-        let base = if raw.width.min(raw.height) < MIN_OCTAVE_SIZE {
+        let mut base = if raw.width.min(raw.height) < MIN_OCTAVE_SIZE {
             raw
         } else {
             blurred_with_difference(&raw, &step(blur, sigma)).0
         };
+        let octave = step(sigma, 2.0 * sigma);
+        for _ in 0..index {
+            if base.width.min(base.height) >= MIN_OCTAVE_SIZE {
+                base = blurred_with_difference(&base, &octave).0.decimated();
+            }
+        }
         Self { base, index, steps }
     }
 }

@@ -127,12 +127,12 @@ fn small_and_narrow_images_do_not_panic() {
         (13, 90),
         (33, 17),
     ] {
-        for upsample in [true, false] {
+        for first_octave in [-1, 0, 1] {
             let image = GrayImage::from_fn(w, h, |_, _| r.unit() as f32).unwrap();
             let f = detect_and_describe(
                 &image,
                 &Options {
-                    upsample,
+                    first_octave,
                     ..Options::default()
                 },
             )
@@ -173,7 +173,7 @@ fn every_option_set_within_range_works() {
             ..d()
         },
         Options {
-            upsample: false,
+            first_octave: 0,
             ..d()
         },
         Options { sigma: 1.01, ..d() },
@@ -200,7 +200,7 @@ fn every_option_set_within_range_works() {
         for k in &f.keypoints {
             assert!(
                 (1..=options.intervals as u32).contains(&k.layer)
-                    && k.octave >= i32::from(!options.upsample) - 1
+                    && k.octave >= options.first_octave
             );
             assert!(k.angle > -std::f32::consts::PI && k.angle <= std::f32::consts::PI);
         }
