@@ -9,13 +9,14 @@
 //! Cost: the pixels within 15 sigma x 15 sigma, about 1000 at the finest scale; no exponential per pixel, since the Gaussian is
 //! round and so a product of one factor per row and one per column.
 
-use std::f32::consts::PI;
+use std::f32::consts::TAU;
 
+use fearless_simd::{Simd, f32x8, prelude::*};
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::ser::SerializeTuple;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::gradient::{RUN, gradients, split};
+use crate::gradient::angle;
 use crate::scale_space::Plane;
 
 /// Places per side.
@@ -75,109 +76,214 @@ impl<'de> Deserialize<'de> for Descriptor {
     }
 }
 
-/// Range of whole `t` with `|a t + b| < r`, as (low, high) in reals; `low > high` when there is none.
-fn span(a: f32, b: f32, r: f32) -> (f32, f32) {
-    if a.abs() < 1e-6 {
-        return if b.abs() < r {
-            (f32::MIN, f32::MAX)
-        } else {
-            (f32::MAX, f32::MIN)
-        };
-    }
-    let (p, q) = ((-r - b) / a, (r - b) / a);
-    (p.min(q), p.max(q))
-}
-
 /// Descriptor of the keypoint at (x, y) with scale `sigma`, both in pixels of `plane`, turned by `angle` radians.
-pub(crate) fn describe(plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> Descriptor {
-    finish(&histogram(plane, x, y, sigma, angle))
+#[inline(always)]
+pub(crate) fn describe<S: Simd>(
+    s: S,
+    weights: &Weights,
+    plane: &Plane,
+    x: f32,
+    y: f32,
+    sigma: f32,
+    angle: f32,
+) -> Descriptor {
+    let patch = Patch::sample(s, plane, x, y, sigma, angle);
+    finish(&patch.histogram(s, weights))
 }
 
-/// Cells per side, with one around the grid for votes that fall half outside.
-const SIDE: usize = PLACES + 2;
+/// Samples per side that vote.
+const SAMPLES: usize = 22;
 
-/// Votes by (row, column, direction), rounded up to a power of two.
-const VOTES: usize = 512;
+/// Samples per side, with one around for the gradients.
+const SIDE: usize = SAMPLES + 2;
 
-fn histogram(plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> [f32; 128] {
-    let mut votes = [0.0_f32; VOTES];
-    let width = PLACE_WIDTH * sigma;
-    // Place coordinates: u = c dx + s dy, v = -s dx + c dy, in units of places; the grid is |u|, |v| < 2, and a half around it.
-    let (s, c) = angle.sin_cos();
-    let (s, c) = (s / width, c / width);
-    let reach = 0.5 * (PLACES + 1) as f32;
-    let radius = reach * width * std::f32::consts::SQRT_2;
-    let window = 0.5 * PLACES as f32 * width;
-    let falloff = -0.5 / (window * window);
-    let weight = |d: f32| (falloff * d * d).exp();
-    let left = (x - radius).ceil().max(1.0) as usize;
-    let columns: Vec<f32> = (0..=(2.0 * radius) as usize + 1 + RUN)
-        .map(|i| weight((left + i) as f32 - x))
-        .collect();
-    let last = plane.width as f32 - 2.0 - x;
-    let bottom = (y + radius).floor().min(plane.height as f32 - 2.0) as usize;
-    let (mut magnitude, mut direction) = ([0.0; RUN], [0.0; RUN]);
-    for row in (y - radius).ceil().max(1.0) as usize..=bottom {
-        let dy = row as f32 - y;
-        let (u, v) = (span(c, s * dy, reach), span(-s, c * dy, reach));
-        let (low, high) = (
-            u.0.max(v.0).max(left as f32 - x),
-            u.1.min(v.1).min(last).min(radius),
-        );
-        if low > high {
-            continue;
-        }
-        let (begin, end) = ((x + low).ceil() as usize, (x + high).floor() as usize + 1);
-        let row_weight = weight(dy);
-        for start in (begin..end).step_by(RUN) {
-            let n = (end - start).min(RUN);
-            gradients(plane, start, row, n, &mut magnitude, &mut direction);
-            let columns = &columns[start - left..][..RUN];
-            let (mut cell, mut slot) = ([0_i32; RUN], [0_i32; RUN]);
-            let (mut fu, mut fv, mut fd) = ([0.0; RUN], [0.0; RUN], [0.0; RUN]);
-            for i in 0..RUN {
-                let dx = (start + i) as f32 - x;
-                // Margins hold what lies outside; the bounds only keep rounding from leaving them.
-                let place = |p: f32| {
-                    (p + (0.5 * PLACES as f32 + 0.5))
-                        .max(0.0)
-                        .min(SIDE as f32 - 1.001)
-                };
-                let (u, ru) = split(place(c * dx + s * dy));
-                let (v, rv) = split(place(-s * dx + c * dy));
-                // Positive after two turns; the low three bits of the whole number are the direction.
-                let turned = (direction[i] - angle) * (DIRECTIONS as f32 / (2.0 * PI))
-                    + 2.0 * DIRECTIONS as f32;
-                let (d, rd) = split(turned);
-                cell[i] = (v * SIDE as i32 + u) * DIRECTIONS as i32;
-                slot[i] = d;
-                (fu[i], fv[i], fd[i]) = (ru, rv, rd);
-                magnitude[i] *= row_weight * columns[i];
-            }
-            for i in 0..n {
-                let (at, d) = (cell[i] as usize, slot[i] as usize);
-                let (near, next) = (at + d % DIRECTIONS, at + (d + 1) % DIRECTIONS);
-                let mut vote = |place: usize, amount: f32| {
-                    let second = amount * fd[i];
-                    votes[(near + place * DIRECTIONS) % VOTES] += amount - second;
-                    votes[(next + place * DIRECTIONS) % VOTES] += second;
-                };
-                let below = magnitude[i] * fv[i];
-                let above = magnitude[i] - below;
-                let (above_right, below_right) = (above * fu[i], below * fu[i]);
-                vote(0, above - above_right);
-                vote(1, above_right);
-                vote(SIDE, below - below_right);
-                vote(SIDE + 1, below_right);
-            }
+/// Floats per row of samples: what a vector reads beyond the last one counts nothing.
+const STRIDE: usize = SIDE + 8;
+
+/// Vectors of eight that hold a row.
+const VECTORS: usize = SIDE / 8;
+
+/// Distance of samples in places: the grid spans the four places and half a place around them.
+const SPACING: f32 = (PLACES + 1) as f32 / SAMPLES as f32;
+
+/// Position of sample i of the voting ones in places, from the centre.
+fn position(i: usize) -> f32 {
+    (i as f32 + 0.5) * SPACING - 0.5 * (PLACES + 1) as f32
+}
+
+/// How much a row or column of samples counts for a row or column of places: the share by distance times the Gaussian window.
+#[derive(Debug, Clone)]
+pub(crate) struct Weights {
+    /// For each row of samples the first of the two rows of places it lies between (0 is one before the first), and the
+    /// weights for both.
+    rows: [(usize, f32, f32); SAMPLES],
+    /// For each column of places the weights of the columns of samples.
+    columns: [[f32; VECTORS * 8]; PLACES],
+}
+
+impl Weights {
+    pub(crate) fn new() -> Self {
+        let half = 0.5 * PLACES as f32;
+        let window = |i: usize| (-0.5 * (position(i) / half).powi(2)).exp();
+        let rows = std::array::from_fn(|i| {
+            let place = position(i) + half + 0.5;
+            let share = place.fract();
+            (place as usize, window(i) * (1.0 - share), window(i) * share)
+        });
+        let columns = std::array::from_fn(|c| {
+            std::array::from_fn(|i| {
+                let distance = position(i) + half - 0.5 - c as f32;
+                let share = (1.0 - distance.abs()).max(0.0);
+                if i < SAMPLES { window(i) * share } else { 0.0 }
+            })
+        });
+        Self { rows, columns }
+    }
+}
+
+/// The surroundings of a keypoint in its own frame: row j, column i at `SPACING * (i - 11.5, j - 11.5)` places.
+struct Patch {
+    values: [[f32; STRIDE]; SIDE],
+    /// 1 where a sample lies in the image, 0 where not; `None` when all do.
+    inside: Option<[[f32; STRIDE]; SIDE]>,
+}
+
+impl Patch {
+    #[inline(always)]
+    fn sample<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> Self {
+        let spacing = SPACING * PLACE_WIDTH * sigma;
+        let (sin, cos) = angle.sin_cos();
+        let (sin, cos) = (sin * spacing, cos * spacing);
+        let centre = 0.5 * (SIDE - 1) as f32;
+        let reach = centre * (sin.abs() + cos.abs()) + 1.0;
+        let fits = |p: f32, size: usize| p - reach >= 0.0 && p + reach <= size as f32 - 1.0;
+        if fits(x, plane.width) && fits(y, plane.height) {
+            let values = Self::rows::<S, false>(s, plane, [x, y], [cos, sin]).0;
+            let inside = None;
+            Self { values, inside }
+        } else {
+            let (values, inside) = Self::rows::<S, true>(s, plane, [x, y], [cos, sin]);
+            let inside = Some(inside);
+            Self { values, inside }
         }
     }
-    let mut out = [0.0; 128];
-    for (i, out) in out.chunks_exact_mut(DIRECTIONS).enumerate() {
-        let at = ((i / PLACES + 1) * SIDE + i % PLACES + 1) * DIRECTIONS;
-        out.copy_from_slice(&votes[at..at + DIRECTIONS]);
+
+    /// Bilinear samples; with `CLAMP` those outside the plane take the value at its border.
+    #[inline(always)]
+    fn rows<S: Simd, const CLAMP: bool>(
+        s: S,
+        plane: &Plane,
+        [x, y]: [f32; 2],
+        [cos, sin]: [f32; 2],
+    ) -> ([[f32; STRIDE]; SIDE], [[f32; STRIDE]; SIDE]) {
+        let mut values = [[0.0; STRIDE]; SIDE];
+        let mut inside = [[0.0; STRIDE]; SIDE];
+        let w = plane.width;
+        let most = [w, plane.height].map(|n| f32x8::splat(s, n as f32 - 1.0));
+        let least = f32x8::splat(s, 0.0);
+        let centre = 0.5 * (SIDE - 1) as f32;
+        let lanes = f32x8::from_slice(s, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+        for j in 0..SIDE {
+            let v = j as f32 - centre;
+            let (row_x, row_y) = (x - sin * v, y + cos * v);
+            for k in 0..VECTORS {
+                let u = lanes + (8.0 * k as f32 - centre);
+                let mut px = u.mul_add(f32x8::splat(s, cos), f32x8::splat(s, row_x));
+                let mut py = u.mul_add(f32x8::splat(s, sin), f32x8::splat(s, row_y));
+                if CLAMP {
+                    let (cx, cy) = (px.max(least).min(most[0]), py.max(least).min(most[1]));
+                    let within = px.simd_eq(cx) & py.simd_eq(cy);
+                    let one = f32x8::splat(s, 1.0);
+                    within.select(one, least).store_slice(&mut inside[j][8 * k..8 * k + 8]);
+                    (px, py) = (cx, cy);
+                }
+                let (mut x0, mut y0) = (px.floor(), py.floor());
+                if CLAMP {
+                    // The last pixel is reached from the one before.
+                    (x0, y0) = (x0.min(most[0] - 1.0), y0.min(most[1] - 1.0));
+                }
+                let (fx, fy) = (px - x0, py - y0);
+                let (columns, rows) = (x0.to_array(), y0.to_array());
+                let mut corners = [[0.0; 8]; 4];
+                for i in 0..8 {
+                    let at = rows[i] as usize * w + columns[i] as usize;
+                    let (top, bottom) = (&plane.data[at..at + 2], &plane.data[at + w..][..2]);
+                    corners[0][i] = top[0];
+                    corners[1][i] = top[1];
+                    corners[2][i] = bottom[0];
+                    corners[3][i] = bottom[1];
+                }
+                let [a, b, c, d] = [
+                    f32x8::from_slice(s, &corners[0]),
+                    f32x8::from_slice(s, &corners[1]),
+                    f32x8::from_slice(s, &corners[2]),
+                    f32x8::from_slice(s, &corners[3]),
+                ];
+                let top = (b - a).mul_add(fx, a);
+                let bottom = (d - c).mul_add(fx, c);
+                let value = (bottom - top).mul_add(fy, top);
+                value.store_slice(&mut values[j][8 * k..8 * k + 8]);
+            }
+        }
+        (values, inside)
     }
-    out
+
+    /// Votes by (row, column, direction).
+    #[inline(always)]
+    fn histogram<S: Simd>(&self, s: S, weights: &Weights) -> [f32; 128] {
+        let zero = f32x8::splat(s, 0.0);
+        // Votes by place row (with one before and after), direction and column of samples.
+        let mut votes = [[[zero; VECTORS]; DIRECTIONS]; PLACES + 2];
+        for (j, &(place, near, next)) in weights.rows.iter().enumerate() {
+            let [above, here, below] = [&self.values[j], &self.values[j + 1], &self.values[j + 2]];
+            let (near, next) = (f32x8::splat(s, near), f32x8::splat(s, next));
+            for k in 0..VECTORS {
+                let at = 8 * k;
+                let gx = f32x8::from_slice(s, &here[at + 2..at + 10])
+                    - f32x8::from_slice(s, &here[at..at + 8]);
+                let gy = f32x8::from_slice(s, &below[at + 1..at + 9])
+                    - f32x8::from_slice(s, &above[at + 1..at + 9]);
+                let mut magnitude = (gx * gx + gy * gy).sqrt();
+                if let Some(inside) = &self.inside {
+                    magnitude *= f32x8::from_slice(s, &inside[j + 1][at + 1..at + 9]);
+                }
+                // Each magnitude is shared between the two nearest directions. `over` is what lies beyond direction d,
+                // 0 to all of it; the vote for d is what lies beyond d - 1 but not beyond d.
+                let turned = magnitude * (angle(s, gx, gy) * (DIRECTIONS as f32 / TAU));
+                let mut over = turned.min(magnitude);
+                let mut first = magnitude - over;
+                for d in 1..DIRECTIONS {
+                    let beyond = (turned - magnitude * d as f32).max(zero).min(magnitude);
+                    let vote = over - beyond;
+                    over = beyond;
+                    votes[place][d][k] = vote.mul_add(near, votes[place][d][k]);
+                    votes[place + 1][d][k] = vote.mul_add(next, votes[place + 1][d][k]);
+                }
+                first += over;
+                votes[place][0][k] = first.mul_add(near, votes[place][0][k]);
+                votes[place + 1][0][k] = first.mul_add(next, votes[place + 1][0][k]);
+            }
+        }
+        let mut histogram = [0.0; 128];
+        for column in 0..PLACES {
+            let weights = &weights.columns[column];
+            let mut shares = [zero; VECTORS];
+            for (k, share) in shares.iter_mut().enumerate() {
+                *share = f32x8::from_slice(s, &weights[8 * k..8 * k + 8]);
+            }
+            for row in 0..PLACES {
+                for d in 0..DIRECTIONS {
+                    let votes = &votes[row + 1][d];
+                    let mut sum = votes[0] * shares[0];
+                    for k in 1..VECTORS {
+                        sum = votes[k].mul_add(shares[k], sum);
+                    }
+                    histogram[(row * PLACES + column) * DIRECTIONS + d] = sum.reduce_sum();
+                }
+            }
+        }
+        histogram
+    }
 }
 
 /// Normalise, cut, normalise, square root of the share, bytes.
@@ -192,7 +298,34 @@ fn finish(histogram: &[f32; 128]) -> Descriptor {
 
 #[cfg(test)]
 mod tests {
+    use std::f32::consts::PI;
+
     use super::*;
+    use crate::Simd as Token;
+    use crate::simd::at_level;
+
+    fn describe(plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> Descriptor {
+        finish(&histogram(plane, x, y, sigma, angle))
+    }
+
+    /// At the best level, after a look whether the others agree.
+    fn histogram(plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> [f32; 128] {
+        let weights = Weights::new();
+        let all: Vec<[f32; 128]> = Token::available()
+            .map(|token| {
+                at_level!(token, s => {
+                    Patch::sample(s, plane, x, y, sigma, angle).histogram(s, &weights)
+                })
+            })
+            .collect();
+        let most = all[0].iter().fold(0.0_f32, |a, b| a.max(*b));
+        for found in &all {
+            for (a, b) in found.iter().zip(&all[0]) {
+                assert!((a - b).abs() <= 1e-4 * most, "{a} {b}");
+            }
+        }
+        all[all.len() - 1]
+    }
 
     fn plane(f: impl Fn(f32, f32) -> f32) -> Plane {
         let data = (0..80 * 80)

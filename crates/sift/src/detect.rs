@@ -10,19 +10,24 @@
 //! spots below a sigma of about 1.1 pixels are not extrema of this scale space.
 
 use std::cmp::Ordering;
+use std::ops::Range;
 
-use rayon::prelude::*;
+use fearless_simd::{Simd, f32x8, f32x16, prelude::*};
 
 use crate::Options;
-use crate::contrast::Contrast;
-use crate::gradient::RUN;
-use crate::scale_space::{Octave, Plane};
+use crate::scale_space::{Levels, WINDOW};
 
 /// Extrema nearer to the image border than this, in pixels of their octave, are not looked at.
 const BORDER: usize = 5;
 
+/// Samples that are tested at once.
+const RUN: usize = 16;
+
 /// Moves of the quadratic fit to a neighbouring sample.
 const MAX_MOVES: usize = 5;
+
+/// Rows and columns that the moves may lead away; four more are looked at around the last place.
+const REACH: usize = WINDOW - 4;
 
 /// The fit moves on when it points further than this. A little over one half, or an extremum midway between two samples
 /// would be sent back and forth.
@@ -41,8 +46,8 @@ pub(crate) struct Extremum {
     pub(crate) sigma: f32,
     /// |DoG| at the refined place.
     pub(crate) response: f32,
-    /// Sample at which the fit ended.
-    sample: (usize, usize),
+    /// Sample at which the fit ended: column, row.
+    pub(crate) sample: (usize, usize),
 }
 
 impl Extremum {
@@ -56,100 +61,181 @@ impl Extremum {
     }
 }
 
-/// All extrema of one octave, in order of layer, row, column.
-pub(crate) fn extrema(octave: &Octave, contrast: &Contrast, options: &Options) -> Vec<Extremum> {
-    let (w, h) = (octave.differences[0].width, octave.differences[0].height);
-    if w <= 2 * BORDER || h <= 2 * BORDER {
-        return Vec::new();
-    }
-    let thresholds: Vec<f32> = (0..=options.intervals)
-        .map(|layer| contrast.threshold(options, octave.index, layer))
-        .collect();
-    let rows = h - 2 * BORDER;
-    let found: Vec<Vec<Extremum>> = (0..options.intervals * rows)
-        .into_par_iter()
-        .with_min_len(16)
-        .map(|i| {
-            let (layer, y) = (1 + i / rows, BORDER + i % rows);
-            let mut found = Vec::new();
-            // The refined value is larger than the sample's, so the samples get some leeway.
-            scan_row(octave, layer, y, 0.8 * thresholds[layer], |x| {
-                found.extend(refine(octave, layer, x, y, &thresholds, options));
-            });
-            found
-        })
-        .collect();
-    let mut found = found.concat();
-    // Two samples may lead to the same extremum.
-    found.sort_by_key(|e| (e.layer, e.sample.1, e.sample.0));
-    found.dedup_by_key(|e| (e.layer, e.sample));
-    found
+/// What to look for in an octave.
+#[derive(Debug)]
+pub(crate) struct Scan<'a> {
+    pub(crate) options: &'a Options,
+    /// Least |DoG| by layer.
+    pub(crate) thresholds: &'a [f32],
+    pub(crate) octave: i32,
+    /// Level of the chain that is Gaussian layer 0.
+    pub(crate) base: usize,
 }
 
-/// Calls `hit(x)` for each extremum of layer `layer` in row `y` with |DoG| above `threshold`.
-fn scan_row(octave: &Octave, layer: usize, y: usize, threshold: f32, mut hit: impl FnMut(usize)) {
-    let w = octave.differences[layer].width;
-    let row = |layer: usize, y: usize| &octave.differences[layer].row(y)[..w];
+/// Finds the extrema of one tile, row by row.
+pub(crate) struct Scanner<'a> {
+    scan: &'a Scan<'a>,
+    /// What was found, in order of row, layer, column.
+    pub(crate) found: Vec<Extremum>,
+    /// The next row of differences to compute.
+    next: usize,
+}
+
+impl<'a> Scanner<'a> {
+    /// For a tile whose rows begin with `first_row`.
+    pub(crate) fn new(scan: &'a Scan<'a>, first_row: usize) -> Self {
+        Self {
+            scan,
+            found: Vec::new(),
+            next: first_row.saturating_sub(1),
+        }
+    }
+}
+
+/// Three rows of the differences of one tile: row y of layer k begins at `(3 k + y % 3) * stride`.
+struct Differences<'a> {
+    data: &'a [f32],
+    stride: usize,
+}
+
+impl Differences<'_> {
+    #[inline(always)]
+    fn row(&self, layer: usize, y: usize) -> &[f32] {
+        &self.data[(3 * layer + y % 3) * self.stride..][..self.stride]
+    }
+}
+
+impl Scanner<'_> {
+    /// Looks for extrema in row `y`, with `rows` as memory between the calls.
+    #[inline(always)]
+    pub(crate) fn visit<S: Simd>(
+        &mut self,
+        s: S,
+        levels: &Levels<'_>,
+        rows: &mut Vec<f32>,
+        y: usize,
+    ) {
+        let (w, h) = levels.size;
+        if y < BORDER || y + BORDER >= h || w <= 2 * BORDER {
+            return;
+        }
+        let layers = self.scan.options.intervals + 2;
+        let stride = levels.row(self.scan.base, y).len();
+        rows.resize(3 * layers * stride, 0.0);
+        for y in self.next.max(y - 1)..=y + 1 {
+            for layer in 0..layers {
+                let (fine, coarse) = (
+                    levels.row(self.scan.base + layer, y),
+                    levels.row(self.scan.base + layer + 1, y),
+                );
+                let out = &mut rows[(3 * layer + y % 3) * stride..][..stride];
+                for ((out, a), b) in out
+                    .chunks_exact_mut(16)
+                    .zip(fine.chunks_exact(16))
+                    .zip(coarse.chunks_exact(16))
+                {
+                    (f32x16::from_slice(s, b) - f32x16::from_slice(s, a)).store_slice(out);
+                }
+            }
+        }
+        self.next = y + 2;
+        let differences = Differences { data: rows, stride };
+        let begin = levels.columns.start.max(BORDER) - levels.origin;
+        let end = levels.columns.end.min(w - BORDER).max(begin + levels.origin) - levels.origin;
+        for layer in 1..=self.scan.options.intervals {
+            // The refined value is larger than the sample's, so the samples get some leeway.
+            let threshold = 0.8 * self.scan.thresholds[layer];
+            scan_row(s, &differences, layer, y, threshold, begin..end, |x| {
+                let around = Neighbourhood {
+                    levels,
+                    base: self.scan.base,
+                };
+                let x = x + levels.origin;
+                self.found.extend(refine(
+                    s,
+                    &around,
+                    self.scan,
+                    [x, y],
+                    layer,
+                ));
+            });
+        }
+    }
+}
+
+/// Calls `hit(x)` for each extremum of `layer` in row `y` with |DoG| above `threshold`.
+#[inline(always)]
+fn scan_row<S: Simd>(
+    s: S,
+    differences: &Differences<'_>,
+    layer: usize,
+    y: usize,
+    threshold: f32,
+    columns: Range<usize>,
+    mut hit: impl FnMut(usize),
+) {
+    let row = |layer: usize, y: usize| differences.row(layer, y);
     let here = row(layer, y);
+    let (above, below) = (row(layer, y - 1), row(layer, y + 1));
+    let (finer, coarser) = (row(layer - 1, y), row(layer + 1, y));
+    let limit = f32x16::splat(s, threshold);
+    // Strength and the six nearest neighbours for a run at once: little remains for the rest of the test.
+    for start in columns.clone().step_by(RUN) {
+        let v = run(s, here, start);
+        let strong = v.abs().simd_gt(limit);
+        if !strong.any_true() {
+            continue;
+        }
+        let sides = (run(s, here, start - 1), run(s, here, start + 1));
+        let ends = (run(s, above, start), run(s, below, start));
+        let scales = (run(s, finer, start), run(s, coarser, start));
+        let most = (sides.0.max(sides.1)).max(ends.0.max(ends.1).max(scales.0.max(scales.1)));
+        let least = (sides.0.min(sides.1)).min(ends.0.min(ends.1).min(scales.0.min(scales.1)));
+        let candidate = strong & (v.simd_ge(most) | v.simd_le(least));
+        let mut bits = candidate.to_bitmask();
+        while bits != 0 {
+            let x = start + bits.trailing_zeros() as usize;
+            bits &= bits - 1;
+            if x < columns.end && is_extremum(differences, layer, x, y) {
+                hit(x);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn run<S: Simd>(s: S, row: &[f32], at: usize) -> f32x16<S> {
+    f32x16::from_slice(s, &row[at..at + RUN])
+}
+
+/// Whether a sample beats its 26 neighbours; of equal ones the first in scan order does.
+fn is_extremum(differences: &Differences<'_>, layer: usize, x: usize, y: usize) -> bool {
+    let cut = |layer: usize, y: usize| &differences.row(layer, y)[x - 1..=x + 1];
     let earlier = [
-        row(layer, y - 1),
-        row(layer - 1, y),
-        row(layer - 1, y - 1),
-        row(layer - 1, y + 1),
+        cut(layer, y - 1),
+        cut(layer - 1, y),
+        cut(layer - 1, y - 1),
+        cut(layer - 1, y + 1),
     ];
     let later = [
-        row(layer, y + 1),
-        row(layer + 1, y),
-        row(layer + 1, y - 1),
-        row(layer + 1, y + 1),
+        cut(layer, y + 1),
+        cut(layer + 1, y),
+        cut(layer + 1, y - 1),
+        cut(layer + 1, y + 1),
     ];
-    let (above, below) = (earlier[0], later[0]);
-    let mut check = |x: usize| {
-        // Of equal neighbours the first in scan order is the extremum.
-        let v = here[x];
-        let is_extremum = if v > 0.0 {
-            earlier
-                .iter()
-                .all(|r| r[x - 1..=x + 1].iter().all(|&n| v > n))
-                && later
-                    .iter()
-                    .all(|r| r[x - 1..=x + 1].iter().all(|&n| v >= n))
-        } else {
-            earlier
-                .iter()
-                .all(|r| r[x - 1..=x + 1].iter().all(|&n| v < n))
-                && later
-                    .iter()
-                    .all(|r| r[x - 1..=x + 1].iter().all(|&n| v <= n))
-        };
-        if is_extremum {
-            hit(x);
-        }
+    let &[left, v, right] = cut(layer, y) else {
+        return false;
     };
-    // Strength and the four nearest neighbours for a run at once, without branches: little remains for the rest of the test.
-    for start in (BORDER..w - BORDER).step_by(RUN) {
-        let n = RUN.min(w - BORDER - start);
-        let cut = |r: &'_ [f32], from: usize| -> [f32; RUN] {
-            let mut run = [0.0; RUN];
-            run[..n].copy_from_slice(&r[from..from + n]);
-            run
-        };
-        let (v, left, right) = (cut(here, start), cut(here, start - 1), cut(here, start + 1));
-        let (up, down) = (cut(above, start), cut(below, start));
-        let mut candidate = [0_u32; RUN];
-        for i in 0..RUN {
-            let v = v[i];
-            let high =
-                (v > threshold) & (v > left[i]) & (v >= right[i]) & (v > up[i]) & (v >= down[i]);
-            let low =
-                (v < -threshold) & (v < left[i]) & (v <= right[i]) & (v < up[i]) & (v <= down[i]);
-            candidate[i] = u32::from(high | low);
-        }
-        if candidate.iter().fold(0, |a, b| a | b) != 0 {
-            (0..n)
-                .filter(|&i| candidate[i] != 0)
-                .for_each(|i| check(start + i));
-        }
+    if v > 0.0 {
+        v > left
+            && v >= right
+            && earlier.iter().all(|r| r.iter().all(|&n| v > n))
+            && later.iter().all(|r| r.iter().all(|&n| v >= n))
+    } else {
+        v < left
+            && v <= right
+            && earlier.iter().all(|r| r.iter().all(|&n| v < n))
+            && later.iter().all(|r| r.iter().all(|&n| v <= n))
     }
 }
 
@@ -223,60 +309,113 @@ impl Quadratic {
     }
 }
 
-/// The neighbourhood of a sample.
-fn cube_at(planes: &[Plane], layer: usize, x: usize, y: usize) -> Cube {
-    std::array::from_fn(|s| {
-        std::array::from_fn(|j| {
-            let row = &planes[layer + s - 1].row(y + j - 1)[x - 1..=x + 1];
-            std::array::from_fn(|i| f64::from(row[i]))
+/// Differences around a sample, from the Gaussian levels of a tile.
+struct Neighbourhood<'a> {
+    levels: &'a Levels<'a>,
+    base: usize,
+}
+
+impl Neighbourhood<'_> {
+    /// Gaussian layer `layer`, row `y`, from column `x` on.
+    #[inline(always)]
+    fn gaussian(&self, layer: usize, x: usize, y: usize) -> &[f32] {
+        &self.levels.row(self.base + layer, y)[x - self.levels.origin..]
+    }
+
+    /// The neighbourhood of a sample.
+    #[inline(always)]
+    fn cube_at(&self, layer: usize, x: usize, y: usize) -> Cube {
+        let gaussian: [[[f32; 3]; 3]; 4] = std::array::from_fn(|s| {
+            std::array::from_fn(|j| {
+                let row = &self.gaussian(layer + s - 1, x - 1, y + j - 1)[..3];
+                [row[0], row[1], row[2]]
+            })
+        });
+        std::array::from_fn(|s| {
+            std::array::from_fn(|j| {
+                std::array::from_fn(|i| f64::from(gaussian[s + 1][j][i] - gaussian[s][j][i]))
+            })
         })
-    })
+    }
+
+    /// The neighbourhood of a place between samples, at least 4 pixels from the border.
+    #[inline(always)]
+    fn cube_between<S: Simd>(&self, s: S, layer: usize, x: f64, y: f64) -> Cube {
+        let (x0, y0) = (x.floor(), y.floor());
+        let (wx, wy) = (lagrange(x - x0), lagrange(y - y0));
+        let (left, top) = (x0 as usize - 3, y0 as usize - 3);
+        // Weights of the eight columns for the values at x - 1, x, x + 1.
+        let mut columns = [f32x8::splat(s, 0.0); 3];
+        for (i, column) in columns.iter_mut().enumerate() {
+            let mut shifted = [0.0; 8];
+            shifted[i..i + 6].copy_from_slice(&wx);
+            *column = f32x8::from_slice(s, &shifted);
+        }
+        // Each Gaussian interpolated down the columns at y - 1, y, y + 1, eight columns wide.
+        let mut finer = [f32x8::splat(s, 0.0); 3];
+        let mut cube = [[[0.0; 3]; 3]; 3];
+        for k in 0..4 {
+            let mut values = [f32x8::splat(s, 0.0); 3];
+            for j in 0..8 {
+                let row = f32x8::from_slice(s, &self.gaussian(layer + k - 1, left, top + j)[..8]);
+                for (i, value) in values.iter_mut().enumerate() {
+                    if (i..i + 6).contains(&j) {
+                        *value = row.mul_add(f32x8::splat(s, wy[j - i]), *value);
+                    }
+                }
+            }
+            if k > 0 {
+                for j in 0..3 {
+                    let difference = values[j] - finer[j];
+                    for i in 0..3 {
+                        cube[k - 1][j][i] = f64::from(sum(difference * columns[i]));
+                    }
+                }
+            }
+            finer = values;
+        }
+        cube
+    }
+}
+
+/// Sum of the lanes, in the same order at every level.
+#[inline(always)]
+fn sum<S: Simd>(v: f32x8<S>) -> f32 {
+    let v = v.to_array();
+    ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]))
 }
 
 /// Weights of the six samples -2..=3 for the value at `t` in 0..1 (Lagrange, exact for polynomials of degree 5).
-fn lagrange(t: f64) -> [f64; 6] {
+#[inline(always)]
+fn lagrange(t: f64) -> [f32; 6] {
+    const DENOMINATORS: [f64; 6] = [-120.0, 24.0, -12.0, 12.0, -24.0, 120.0];
+    let d: [f64; 6] = std::array::from_fn(|i| t + 2.0 - i as f64);
     std::array::from_fn(|i| {
-        let node = i as f64 - 2.0;
-        (-2..=3)
-            .map(f64::from)
-            .filter(|&n| n != node)
-            .map(|n| (t - n) / (node - n))
-            .product()
-    })
-}
-
-/// The neighbourhood of a place between samples, at least 4 pixels from the border.
-fn cube_between(planes: &[Plane], layer: usize, x: f64, y: f64) -> Cube {
-    let (x0, y0) = (x.floor(), y.floor());
-    let (wx, wy) = (lagrange(x - x0), lagrange(y - y0));
-    let (left, top) = (x0 as usize - 3, y0 as usize - 3);
-    std::array::from_fn(|s| {
-        // Eight rows, each interpolated along x at x - 1, x, x + 1.
-        let rows: [[f64; 3]; 8] = std::array::from_fn(|j| {
-            let row = &planes[layer + s - 1].row(top + j)[left..left + 8];
-            std::array::from_fn(|i| (0..6).map(|k| wx[k] * f64::from(row[i + k])).sum())
-        });
-        std::array::from_fn(|j| {
-            std::array::from_fn(|i| (0..6).map(|k| wy[k] * rows[j + k][i]).sum())
-        })
+        let product: f64 = (0..6).filter(|&k| k != i).map(|k| d[k]).product();
+        (product / DENOMINATORS[i]) as f32
     })
 }
 
 /// Follows the quadratic fit from a sample to its extremum; `None` when it leads away, is too weak or lies on an edge.
-fn refine(
-    octave: &Octave,
+#[inline(always)]
+fn refine<S: Simd>(
+    s: S,
+    around: &Neighbourhood<'_>,
+    scan: &Scan<'_>,
+    start: [usize; 2],
     layer: usize,
-    x: usize,
-    y: usize,
-    thresholds: &[f32],
-    options: &Options,
 ) -> Option<Extremum> {
-    let planes = &octave.differences;
-    let (w, h) = (planes[0].width, planes[0].height);
-    let (mut x, mut y, mut layer) = (x, y, layer);
+    let Scan {
+        options,
+        thresholds,
+        octave,
+        ..
+    } = *scan;
+    let (w, h) = around.levels.size;
+    let ([mut x, mut y], mut layer) = (start, layer);
     let mut moves = 0;
     let (fit, offset) = loop {
-        let fit = Quadratic::of(&cube_at(planes, layer, x, y));
+        let fit = Quadratic::of(&around.cube_at(layer, x, y));
         let offset = fit.offset()?;
         if offset.iter().all(|o| o.abs() <= MOVE_BEYOND) {
             break (fit, offset);
@@ -299,7 +438,8 @@ fn refine(
             step(layer, offset[2])?,
         );
         let inside = (BORDER..w - BORDER).contains(&x) && (BORDER..h - BORDER).contains(&y);
-        if !inside || !(1..=options.intervals).contains(&layer) {
+        let near = x.abs_diff(start[0]).max(y.abs_diff(start[1])) <= REACH;
+        if !inside || !near || !(1..=options.intervals).contains(&layer) {
             return None;
         }
     };
@@ -309,7 +449,7 @@ fn refine(
     }
     let (mut px, mut py) = (x as f64 + offset[0], y as f64 + offset[1]);
     let mut ps = layer as f64 + offset[2];
-    if let Some(again) = Quadratic::of(&cube_between(planes, layer, px, py)).offset()
+    if let Some(again) = Quadratic::of(&around.cube_between(s, layer, px, py)).offset()
         && again[0].abs().max(again[1].abs()) < 0.25
         && (again[2] - offset[2]).abs() < 0.25
     {
@@ -318,7 +458,7 @@ fn refine(
         ps = layer as f64 + again[2];
     }
     Some(Extremum {
-        octave: octave.index,
+        octave,
         layer,
         x: px as f32,
         y: py as f32,

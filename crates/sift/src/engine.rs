@@ -2,12 +2,20 @@
 
 use rayon::prelude::*;
 
+use crate::blur::Kernel;
 use crate::contrast::Contrast;
-use crate::describe::{Descriptor, describe};
-use crate::detect::{Extremum, extrema};
-use crate::orient::orientations;
-use crate::scale_space::{Octaves, Plane};
+use crate::describe::{Descriptor, Weights, describe};
+use crate::detect::{Extremum, Scan, Scanner};
+use crate::orient::{Orientations, orientations};
+use crate::scale_space::{Chain, Plane, Scratch, Source};
+use crate::simd::at_level;
 use crate::{Features, GrayImage, Keypoint, Options, SiftError, Simd};
+
+/// Octaves smaller than this on either side are not searched: nothing would be left inside the detector's border.
+const MIN_OCTAVE_SIZE: usize = 12;
+
+/// Fewer rows than this are not worth a thread: its overlap with the neighbours would be most of the work.
+const LEAST_ROWS: usize = 64;
 
 /// Detects and describes features: checked options, an instruction set, and buffers that are kept from image to image.
 ///
@@ -16,6 +24,19 @@ use crate::{Features, GrayImage, Keypoint, Options, SiftError, Simd};
 pub struct Sift {
     options: Options,
     simd: Simd,
+    weights: Weights,
+    work: Workspace,
+}
+
+/// What is kept from image to image.
+#[derive(Debug, Default)]
+struct Workspace {
+    /// Gaussian layers `1..=intervals` of each octave, the finest first: where keypoints are oriented and described.
+    octaves: Vec<Vec<Plane>>,
+    /// The image reduced to each octave before the first.
+    reduced: Vec<Plane>,
+    /// One for each band of rows that runs at the same time.
+    scratch: Vec<Scratch>,
 }
 
 impl Sift {
@@ -33,7 +54,12 @@ impl Sift {
     /// [`SiftError::Option`] when `options` fail their [check](Options::check).
     pub fn with(options: Options, simd: Simd) -> Result<Self, SiftError> {
         options.check()?;
-        Ok(Self { options, simd })
+        Ok(Self {
+            options,
+            simd,
+            weights: Weights::new(),
+            work: Workspace::default(),
+        })
     }
 
     /// The options it was made with.
@@ -51,7 +77,16 @@ impl Sift {
     /// Keypoints with their orientations, not described: what [`detect_and_describe`](Self::detect_and_describe) gives, without
     /// the descriptors.
     pub fn detect(&mut self, image: &GrayImage) -> Vec<Keypoint> {
-        self.detect_and_describe(image).keypoints
+        let found = self.extrema(image);
+        let oriented: Vec<Vec<Keypoint>> = found
+            .par_iter()
+            .with_min_len(8)
+            .map(|e| {
+                let angles = self.orientations(e);
+                angles.iter().map(|&angle| keypoint(e, angle)).collect()
+            })
+            .collect();
+        oriented.concat()
     }
 
     /// Detects, orients and describes the features of `image`.
@@ -59,52 +94,20 @@ impl Sift {
     /// The `max_features` strongest extrema are kept and then oriented, so that the result may hold about a third more. An image
     /// without structure, or too small for the first octave (fewer than 12 pixels on a side after doubling), gives no features.
     pub fn detect_and_describe(&mut self, image: &GrayImage) -> Features {
-        let options = &self.options;
         let mut features = Features {
             width: image.width(),
             height: image.height(),
             keypoints: Vec::new(),
             descriptors: Vec::new(),
         };
-        let Some(contrast) = Contrast::of(image, options) else {
-            return features;
-        };
-
-        let mut found = Vec::new();
-        let mut layers: Vec<Vec<Plane>> = Vec::new();
-        for mut octave in Octaves::new(image, options) {
-            found.extend(extrema(&octave, &contrast, options));
-            // Orientation and description need the Gaussian layers in which extrema can lie, and nothing else.
-            octave.gaussians.truncate(options.intervals + 1);
-            layers.push(octave.gaussians.split_off(1));
-        }
-        found.sort_unstable_by(Extremum::rank);
-        found.truncate(options.max_features);
-
-        // Neighbours in the image one after the other, which is kinder to the caches than order of strength.
-        let mut walk: Vec<usize> = (0..found.len()).collect();
-        walk.sort_unstable_by_key(|&i| {
-            (
-                found[i].octave,
-                found[i].layer,
-                found[i].y as u32 / 32,
-                found[i].x as u32,
-            )
-        });
-        let mut described: Vec<(usize, Vec<(Keypoint, Descriptor)>)> = walk
+        let found = self.extrema(image);
+        let mut described: Vec<(usize, Vec<(Keypoint, Descriptor)>)> = walk(&found)
             .into_par_iter()
             .with_min_len(8)
             .map(|i| {
                 let e = &found[i];
-                let plane = &layers[(e.octave - options.first_octave) as usize][e.layer - 1];
-                let features = orientations(plane, e.x, e.y, e.sigma)
-                    .into_iter()
-                    .map(|angle| {
-                        (
-                            keypoint(e, angle),
-                            describe(plane, e.x, e.y, e.sigma, angle),
-                        )
-                    })
+                let features = (self.orientations(e).iter())
+                    .map(|&angle| (keypoint(e, angle), self.describe(e, angle)))
                     .collect();
                 (i, features)
             })
@@ -114,6 +117,175 @@ impl Sift {
             described.into_iter().flat_map(|(_, f)| f).unzip();
         features
     }
+
+    /// The Gaussian layer in which an extremum is oriented and described.
+    fn plane_of(&self, e: &Extremum) -> &Plane {
+        &self.work.octaves[(e.octave - self.options.first_octave) as usize][e.layer - 1]
+    }
+
+    fn orientations(&self, e: &Extremum) -> Orientations {
+        let plane = self.plane_of(e);
+        at_level!(self.simd, s => orientations(s, plane, e.x, e.y, e.sigma))
+    }
+
+    fn describe(&self, e: &Extremum, angle: f32) -> Descriptor {
+        let plane = self.plane_of(e);
+        at_level!(self.simd, s => describe(s, &self.weights, plane, e.x, e.y, e.sigma, angle))
+    }
+
+    /// The strongest extrema in order of their strength; leaves the planes around them in the workspace.
+    fn extrema(&mut self, image: &GrayImage) -> Vec<Extremum> {
+        let Self {
+            options,
+            simd,
+            work,
+            ..
+        } = self;
+        let Some(contrast) = Contrast::of(image, options) else {
+            return Vec::new();
+        };
+        let sigma = f64::from(options.sigma);
+        let sigma_at = |s: usize| sigma * (s as f64 / options.intervals as f64).exp2();
+        let step = |from: f64, to: f64| Kernel::gaussian((to * to - from * from).sqrt());
+        let steps: Vec<Kernel> = (1..options.intervals + 3)
+            .map(|s| step(sigma_at(s - 1), sigma_at(s)))
+            .collect();
+        let blur = f64::from(options.assumed_blur);
+        let first = options.first_octave;
+        // Blurs the first source to sigma.
+        let mut base = vec![step(if first < 0 { 2.0 * blur } else { blur }, sigma)];
+        let big_enough = |source: &Source<'_>| {
+            let (w, h) = source.size();
+            w.min(h) >= MIN_OCTAVE_SIZE
+        };
+
+        // Octaves that are not searched are only passed through.
+        work.reduced.resize_with(first.max(0) as usize, Plane::default);
+        for octave in 0..work.reduced.len() {
+            let (before, from) = work.reduced.split_at_mut(octave);
+            let source = before.last().map_or(Source::Image(image), Source::Halved);
+            if !big_enough(&source) {
+                return Vec::new();
+            }
+            let mut kernels = std::mem::take(&mut base);
+            kernels.push(step(sigma, 2.0 * sigma));
+            let kept = kernels.len()..kernels.len() + 1;
+            let chain = Chain { kernels, kept };
+            run(*simd, &chain, source, &mut from[..1], &mut work.scratch, None);
+        }
+
+        let mut found = Vec::new();
+        for octave in 0.. {
+            if work.octaves.len() == octave {
+                work.octaves.push(Vec::new());
+            }
+            let (before, from) = work.octaves.split_at_mut(octave);
+            let source = match (before.last(), work.reduced.last()) {
+                (Some(planes), _) => Source::Halved(&planes[options.intervals - 1]),
+                (None, Some(plane)) => Source::Halved(plane),
+                (None, None) if first < 0 => Source::Doubled(image),
+                (None, None) => Source::Image(image),
+            };
+            if !big_enough(&source) {
+                break;
+            }
+            let planes = &mut from[0];
+            planes.resize_with(options.intervals, Plane::default);
+            let mut kernels = std::mem::take(&mut base);
+            let level_0 = kernels.len();
+            kernels.extend(steps.iter().cloned());
+            let kept = level_0 + 1..level_0 + 1 + options.intervals;
+            let chain = Chain { kernels, kept };
+            let index = first + octave as i32;
+            let thresholds: Vec<f32> = (0..=options.intervals)
+                .map(|layer| contrast.threshold(options, index, layer))
+                .collect();
+            let scan = Scan {
+                options,
+                thresholds: &thresholds,
+                octave: index,
+                base: level_0,
+            };
+            let mut new = run(*simd, &chain, source, planes, &mut work.scratch, Some(&scan));
+            // Two samples may lead to the same extremum.
+            new.sort_unstable_by_key(|e| (e.layer, e.sample.1, e.sample.0));
+            new.dedup_by_key(|e| (e.layer, e.sample));
+            found.append(&mut new);
+        }
+        if found.len() > options.max_features {
+            found.select_nth_unstable_by(options.max_features, Extremum::rank);
+            found.truncate(options.max_features);
+        }
+        found.sort_unstable_by(Extremum::rank);
+        found
+    }
+}
+
+/// Neighbours in the image one after the other, which is kinder to the caches than order of strength.
+fn walk(found: &[Extremum]) -> Vec<usize> {
+    let mut walk: Vec<usize> = (0..found.len()).collect();
+    walk.sort_unstable_by_key(|&i| {
+        (
+            found[i].octave,
+            found[i].layer,
+            found[i].y as u32 / 32,
+            found[i].x as u32,
+        )
+    });
+    walk
+}
+
+/// Pushes `source` through `chain` into `planes`, band by band on all threads, and looks for extrema on the way.
+fn run(
+    simd: Simd,
+    chain: &Chain,
+    source: Source<'_>,
+    planes: &mut [Plane],
+    scratch: &mut Vec<Scratch>,
+    scan: Option<&Scan<'_>>,
+) -> Vec<Extremum> {
+    let (w, h) = source.size();
+    planes.iter_mut().for_each(|p| p.resize(w, h));
+    let bands = rayon::current_num_threads().min(h / LEAST_ROWS).max(1);
+    let band = h.div_ceil(bands);
+    let mut parts: Vec<Vec<&mut [f32]>> = Vec::new();
+    parts.resize_with(h.div_ceil(band), Vec::new);
+    for plane in planes {
+        for (part, rows) in parts.iter_mut().zip(plane.data.chunks_mut(band * w)) {
+            part.push(rows);
+        }
+    }
+    if scratch.len() < parts.len() {
+        scratch.resize_with(parts.len(), Scratch::default);
+    }
+    let found: Vec<Vec<Extremum>> = parts
+        .into_par_iter()
+        .zip(scratch)
+        .enumerate()
+        .map(|(i, (mut planes, scratch))| {
+            let rows = i * band..((i + 1) * band).min(h);
+            let mut found = Vec::new();
+            for columns in Chain::tiles(w) {
+                let mut scanner = scan.map(|s| Scanner::new(s, rows.start));
+                at_level!(simd, s => chain.sweep(
+                    s,
+                    &source,
+                    rows.clone(),
+                    columns,
+                    scratch,
+                    &mut planes,
+                    |levels, memory, y| {
+                        if let Some(scanner) = &mut scanner {
+                            scanner.visit(s, levels, memory, y);
+                        }
+                    },
+                ));
+                found.extend(scanner.into_iter().flat_map(|s| s.found));
+            }
+            found
+        })
+        .collect();
+    found.concat()
 }
 
 /// One image with an engine of its own: [`Sift::new`], then [`Sift::detect_and_describe`]. For many images keep a [`Sift`].

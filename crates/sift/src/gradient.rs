@@ -1,118 +1,78 @@
-//! Gradients of a run of pixels in one row, in a form that compilers turn into vector instructions.
+//! Magnitude and direction of gradients, eight at a time.
 
-use std::f32::consts::{FRAC_PI_2, PI};
+use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
-use crate::scale_space::Plane;
+use fearless_simd::{Simd, f32x8, prelude::*};
 
-/// Pixels per run.
-pub(crate) const RUN: usize = 16;
-
-/// Values of one run.
-pub(crate) type Run = [f32; RUN];
-
-/// Angle of (x, y) from +x towards +y in `-pi..=pi`, within 2e-5 rad; 0 for (0, 0).
+/// Angles of (x, y) from +x towards +y in `0..=2 pi`, within 2e-5 rad; 0 for (0, 0).
 ///
 /// The arctangent on 0..=1 is the polynomial of Abramowitz & Stegun 4.4.49 (error below 1e-5).
 #[inline(always)]
-pub(crate) fn atan2(y: f32, x: f32) -> f32 {
+pub(crate) fn angle<S: Simd>(s: S, x: f32x8<S>, y: f32x8<S>) -> f32x8<S> {
+    const TERMS: [f32; 5] = [0.999_866, -0.330_299_5, 0.180_141, -0.085_133, 0.020_835_1];
     let (ax, ay) = (x.abs(), y.abs());
-    let (low, high) = if ax < ay { (ax, ay) } else { (ay, ax) };
-    let t = low / (high + f32::MIN_POSITIVE);
+    let steep = ax.simd_lt(ay);
+    let t = ax.min(ay) / (ax.max(ay) + f32::MIN_POSITIVE);
     let q = t * t;
-    let a =
-        t * (0.999_866 + q * (-0.330_299_5 + q * (0.180_141 + q * (-0.085_133 + q * 0.020_835_1))));
-    let a = if ax < ay { FRAC_PI_2 - a } else { a };
-    let a = if x < 0.0 { PI - a } else { a };
-    if y < 0.0 { -a } else { a }
+    let mut sum = f32x8::splat(s, TERMS[4]);
+    for k in [3, 2, 1, 0] {
+        sum = sum.mul_add(q, f32x8::splat(s, TERMS[k]));
+    }
+    let a = t * sum;
+    let a = steep.select(f32x8::splat(s, FRAC_PI_2) - a, a);
+    let zero = f32x8::splat(s, 0.0);
+    let a = x.simd_lt(zero).select(f32x8::splat(s, PI) - a, a);
+    y.simd_lt(zero).select(f32x8::splat(s, TAU) - a, a)
 }
 
-/// Magnitude and angle of the central differences at the pixels `x..x + n` of row `y`, `n <= RUN`; what lies beyond `n` is 0.
-///
-/// All pixels must have four neighbours in `plane`.
+/// `exp(x)` for x in -6..=0, within 1e-4 of itself: Taylor's series at x / 8, squared three times.
 #[inline(always)]
-pub(crate) fn gradients(
-    plane: &Plane,
-    x: usize,
-    y: usize,
-    n: usize,
-    magnitude: &mut Run,
-    angle: &mut Run,
-) {
-    let (mut gx, mut gy) = ([0.0; RUN], [0.0; RUN]);
-    let (above, here, below) = (
-        &plane.row(y - 1)[x..x + n],
-        &plane.row(y)[x - 1..x + n + 1],
-        &plane.row(y + 1)[x..x + n],
-    );
-    for (i, g) in gx[..n].iter_mut().enumerate() {
-        *g = here[i + 2] - here[i];
+pub(crate) fn exp<S: Simd>(s: S, x: f32x8<S>) -> f32x8<S> {
+    let x = x * 0.125;
+    let mut sum = f32x8::splat(s, 1.0 / 720.0);
+    for term in [1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
+        sum = sum.mul_add(x, f32x8::splat(s, term));
     }
-    for ((g, b), a) in gy[..n].iter_mut().zip(below).zip(above) {
-        *g = b - a;
-    }
-    for i in 0..RUN {
-        magnitude[i] = (gx[i] * gx[i] + gy[i] * gy[i]).sqrt();
-        angle[i] = atan2(gy[i], gx[i]);
-    }
-}
-
-/// `x` as whole number i and rest `x - i` in 0..=1, for |x| below 2^21: a floor in two additions, except that a whole number
-/// may come out as (x - 1, 1). Interpolation weights do not see the difference.
-#[inline(always)]
-pub(crate) fn split(x: f32) -> (i32, f32) {
-    // Adding 1.5 * 2^23 rounds to whole numbers, which then stand in the low bits.
-    const MAGIC: f32 = 12_582_912.0;
-    let t = (x - 0.5) + MAGIC;
-    (
-        t.to_bits().wrapping_sub(MAGIC.to_bits()) as i32,
-        x - (t - MAGIC),
-    )
+    let square = sum * sum;
+    let square = square * square;
+    square * square
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Simd as Token;
+    use crate::simd::at_level;
 
     #[test]
-    fn atan2_is_within_2e_5() {
-        for i in 0..10_000 {
-            let a = (i as f32 - 5000.0) / 5000.0 * PI;
-            for r in [1e-6_f32, 0.3, 70.0] {
-                let (y, x) = (r * a.sin(), r * a.cos());
-                assert!((atan2(y, x) - y.atan2(x)).abs() < 2e-5, "{a}");
+    fn angles_are_within_2e_5() {
+        for token in Token::available() {
+            for i in 0..10_000 {
+                let a = (i as f32 + 0.5) / 10_000.0 * TAU;
+                for r in [1e-6_f32, 0.3, 70.0] {
+                    let found = at_level!(token, s => {
+                        let (x, y) = (r * a.cos(), r * a.sin());
+                        angle(s, f32x8::splat(s, x), f32x8::splat(s, y)).to_array()
+                    });
+                    assert!((found[3] - a).abs() < 2e-5, "{a} {found:?}");
+                }
+            }
+            let zero = at_level!(token, s => {
+                let zero = f32x8::splat(s, 0.0);
+                angle(s, zero, zero).to_array()
+            });
+            assert_eq!(zero, [0.0; 8]);
+        }
+    }
+
+    #[test]
+    fn exponentials_are_within_1e_4() {
+        for token in Token::available() {
+            for i in 0..=600 {
+                let x = -(i as f32) / 100.0;
+                let found = at_level!(token, s => exp(s, f32x8::splat(s, x)).to_array());
+                assert!((found[5] / x.exp() - 1.0).abs() < 1e-4, "{x}");
             }
         }
-        assert_eq!(atan2(0.0, 0.0), 0.0);
-    }
-
-    #[test]
-    fn split_adds_up() {
-        for i in -4000..4000 {
-            let x = i as f32 / 97.0;
-            let (whole, rest) = split(x);
-            assert!(
-                (0.0..=1.0).contains(&rest) && whole as f32 + rest == x
-                    || (whole as f32 + rest - x).abs() < 1e-6,
-                "{x}"
-            );
-        }
-    }
-
-    #[test]
-    fn gradient_of_a_ramp_points_uphill() {
-        let plane = Plane {
-            width: 9,
-            height: 3,
-            data: (0..27)
-                .map(|i| 2.0 * (i % 9) as f32 + 2.0 * (i / 9) as f32)
-                .collect(),
-        };
-        let (mut magnitude, mut angle) = ([0.0; RUN], [0.0; RUN]);
-        gradients(&plane, 1, 1, 7, &mut magnitude, &mut angle);
-        for i in 0..7 {
-            assert!((magnitude[i] - 32.0_f32.sqrt()).abs() < 1e-5);
-            assert!((angle[i] - PI / 4.0).abs() < 2e-5);
-        }
-        assert_eq!(magnitude[7], 0.0);
     }
 }

@@ -26,6 +26,7 @@
 //! # Ok::<(), scopeservo_sift::SiftError>(())
 //! ```
 
+mod blur;
 mod contrast;
 mod describe;
 mod detect;

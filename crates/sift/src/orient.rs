@@ -4,9 +4,11 @@
 //! around the refined position. Votes are shared between the two nearest bins; the histogram is smoothed, and each peak of at
 //! least 0.8 of the highest gives an orientation, interpolated by a parabola.
 
-use std::f32::consts::PI;
+use std::f32::consts::{PI, TAU};
 
-use crate::gradient::{RUN, gradients, split};
+use fearless_simd::{Simd, f32x8, prelude::*};
+
+use crate::gradient::{angle, exp};
 use crate::scale_space::Plane;
 
 const BINS: usize = 36;
@@ -20,52 +22,110 @@ const RADIUS: f32 = 3.0;
 /// Least height of a further peak, relative to the highest.
 const PEAK: f32 = 0.8;
 
-/// Orientations of the keypoint at (x, y) with scale `sigma`, both in pixels of `plane`: radians from +x towards +y in
-/// `(-pi, pi]`, the most pronounced first; empty when there is no gradient at all.
-pub(crate) fn orientations(plane: &Plane, x: f32, y: f32, sigma: f32) -> Vec<f32> {
-    peaks(&smoothed(&histogram(plane, x, y, sigma)))
+/// Most peaks that 36 bins can have.
+const MAX_PEAKS: usize = BINS / 2;
+
+/// Orientations of one keypoint, the most pronounced first.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Orientations {
+    angles: [f32; MAX_PEAKS],
+    count: usize,
 }
 
+impl std::ops::Deref for Orientations {
+    type Target = [f32];
+
+    fn deref(&self) -> &[f32] {
+        &self.angles[..self.count]
+    }
+}
+
+/// Orientations of the keypoint at (x, y) with scale `sigma`, both in pixels of `plane`: radians from +x towards +y in
+/// `(-pi, pi]`; none when there is no gradient at all.
+#[inline(always)]
+pub(crate) fn orientations<S: Simd>(
+    s: S,
+    plane: &Plane,
+    x: f32,
+    y: f32,
+    sigma: f32,
+) -> Orientations {
+    peaks(&smoothed(&histogram(s, plane, x, y, sigma)))
+}
+
+/// Copies of the histogram, so that neighbouring pixels, which point the same way, need not wait for each other.
+const COPIES: usize = 4;
+
+/// Room for the bins of a copy and the neighbour of the last one.
+const SLOTS: usize = 64;
+
 /// Bin k holds the votes for direction `2 pi k / 36`.
-fn histogram(plane: &Plane, x: f32, y: f32, sigma: f32) -> [f32; BINS] {
-    // One more bin on each side of -pi..=pi, folded back at the end.
-    let mut votes = [0.0_f32; 64];
-    let (mut magnitude, mut angle) = ([0.0; RUN], [0.0; RUN]);
+#[inline(always)]
+fn histogram<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32) -> [f32; BINS] {
+    let mut votes = [[0.0_f32; SLOTS]; COPIES];
     let window = WINDOW * sigma;
     let radius = RADIUS * window;
     let falloff = -0.5 / (window * window);
-    let weight = |d: f32| (falloff * d * d).exp();
-    let left = (x - radius).ceil().max(1.0) as usize;
-    let columns: Vec<f32> = (0..=(2.0 * radius) as usize + 1)
-        .map(|i| weight((left + i) as f32 - x))
-        .collect();
-    let bottom = ((y + radius).floor()).min(plane.height as f32 - 2.0) as usize;
-    for row in (y - radius).ceil().max(1.0) as usize..=bottom {
+    // Pixels with four neighbours in the plane, and in the square around the disc.
+    let first = |p: f32| (p - radius).ceil().max(1.0) as usize;
+    let last = |p: f32, size: usize| ((p + radius).floor().min(size as f32 - 2.0)).max(0.0) as usize;
+    let (left, right) = (first(x), last(x, plane.width));
+    let (top, bottom) = (first(y), last(y, plane.height));
+    let lanes = f32x8::from_slice(s, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+    for row in top..=bottom {
         let dy = row as f32 - y;
         let half = (radius * radius - dy * dy).max(0.0).sqrt();
-        let begin = (x - half).ceil().max(1.0) as usize;
-        let end = ((x + half).floor().min(plane.width as f32 - 2.0) + 1.0) as usize;
-        let row_weight = weight(dy);
-        for start in (begin..end).step_by(RUN) {
-            let n = (end - start).min(RUN);
-            gradients(plane, start, row, n, &mut magnitude, &mut angle);
-            for ((m, a), column_weight) in magnitude[..n]
-                .iter()
-                .zip(&angle[..n])
-                .zip(&columns[start - left..])
-            {
-                let (bin, rest) = split((a + PI) * (BINS as f32 / (2.0 * PI)));
-                let vote = m * row_weight * column_weight;
-                let bin = (bin + 1) as usize & 63;
-                votes[bin] += vote * (1.0 - rest);
-                votes[(bin + 1) & 63] += vote * rest;
+        let begin = ((x - half).ceil().max(left as f32)) as usize;
+        let end = ((x + half).floor().min(right as f32) + 1.0).max(0.0) as usize;
+        let rows = [row - 1, row, row + 1].map(|y| plane.row(y));
+        let mut start = begin;
+        while start < end {
+            let count = (end - start).min(8);
+            // At the right border a run reads beyond the row: it begins earlier then, and leaves out what was counted.
+            let from = start.min(plane.width.saturating_sub(9)).max(1);
+            let (gx, gy) = if from + 9 <= plane.width {
+                let load = |row: &[f32], at: usize| -> [f32; 8] {
+                    row[at..at + 8].try_into().expect("eight values")
+                };
+                let [above, here, below] = rows;
+                let (l, r) = (load(here, from - 1), load(here, from + 1));
+                let (a, b) = (load(above, from), load(below, from));
+                (
+                    f32x8::from_slice(s, &r) - f32x8::from_slice(s, &l),
+                    f32x8::from_slice(s, &b) - f32x8::from_slice(s, &a),
+                )
+            } else {
+                let (mut gx, mut gy) = ([0.0; 8], [0.0; 8]);
+                for i in 0..8.min(plane.width - 1 - from) {
+                    gx[i] = rows[1][from + i + 1] - rows[1][from + i - 1];
+                    gy[i] = rows[2][from + i] - rows[0][from + i];
+                }
+                (f32x8::from_slice(s, &gx), f32x8::from_slice(s, &gy))
+            };
+            let dx = lanes + (from as f32 - x);
+            let weight = exp(s, dx.mul_add(dx, f32x8::splat(s, dy * dy)).min(f32x8::splat(s, radius * radius)) * falloff);
+            let magnitude = (gx * gx + gy * gy).sqrt() * weight;
+            let place = angle(s, gx, gy) * (BINS as f32 / TAU);
+            let bin = place.floor();
+            let second = (magnitude * (place - bin)).to_array();
+            let magnitude = magnitude.to_array();
+            let bin = bin.to_array();
+            let skipped = start - from;
+            for i in skipped..(skipped + count).min(8) {
+                let votes = &mut votes[i % COPIES];
+                let bin = bin[i] as usize % SLOTS;
+                votes[bin] += magnitude[i] - second[i];
+                votes[(bin + 1) % SLOTS] += second[i];
             }
+            start += (8 - skipped).min(count).max(1);
         }
     }
-    // votes[i] stands for the direction 2 pi (i - 1) / 36 - pi.
     let mut histogram = [0.0; BINS];
-    for (i, v) in votes[..BINS + 3].iter().enumerate() {
-        histogram[(i + BINS - 1 + BINS / 2) % BINS] += v;
+    for votes in &votes {
+        // 2 pi itself is bin 36, and votes beyond it go to bin 37.
+        for (i, v) in votes[..BINS + 2].iter().enumerate() {
+            histogram[i % BINS] += v;
+        }
     }
     histogram
 }
@@ -78,33 +138,48 @@ fn smoothed(h: &[f32; BINS]) -> [f32; BINS] {
     })
 }
 
-fn peaks(h: &[f32; BINS]) -> Vec<f32> {
+fn peaks(h: &[f32; BINS]) -> Orientations {
+    let mut found = [(0.0, 0.0); MAX_PEAKS];
+    let mut count = 0;
     let highest = h.iter().fold(0.0_f32, |a, &b| a.max(b));
-    if highest <= 0.0 {
-        return Vec::new();
+    for i in 0..BINS {
+        let (before, here, after) = (h[(i + BINS - 1) % BINS], h[i], h[(i + 1) % BINS]);
+        // Of two equal neighbours the first counts, and the parabola puts the peak between them.
+        if highest <= 0.0 || here < PEAK * highest || here <= before || here < after {
+            continue;
+        }
+        let offset = 0.5 * (before - after) / (before - 2.0 * here + after);
+        let angle = (i as f32 + offset) * (TAU / BINS as f32);
+        let angle = if angle > PI { angle - TAU } else { angle };
+        found[count] = (here, angle.clamp(-PI.next_down(), PI));
+        count += 1;
     }
-    let mut found: Vec<(f32, f32)> = (0..BINS)
-        .filter_map(|i| {
-            let (before, here, after) = (h[(i + BINS - 1) % BINS], h[i], h[(i + 1) % BINS]);
-            // Of two equal neighbours the first counts, and the parabola puts the peak between them.
-            if here < PEAK * highest || here <= before || here < after {
-                return None;
-            }
-            let offset = 0.5 * (before - after) / (before - 2.0 * here + after);
-            let angle = (i as f32 + offset) * (2.0 * PI / BINS as f32);
-            Some((here, if angle > PI { angle - 2.0 * PI } else { angle }))
-        })
-        .collect();
-    found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    found
-        .into_iter()
-        .map(|(_, angle)| angle.clamp(-PI.next_down(), PI))
-        .collect()
+    found[..count].sort_by(|a, b| b.0.total_cmp(&a.0));
+    Orientations {
+        angles: found.map(|(_, angle)| angle),
+        count,
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Simd as Token;
+    use crate::simd::at_level;
+
+    /// At the best level, after a look whether the others agree.
+    fn orientations(plane: &Plane, x: f32, y: f32, sigma: f32) -> Vec<f32> {
+        let all: Vec<Vec<f32>> = Token::available()
+            .map(|token| at_level!(token, s => super::orientations(s, plane, x, y, sigma).to_vec()))
+            .collect();
+        for found in &all {
+            assert_eq!(found.len(), all[0].len());
+            for (a, b) in found.iter().zip(&all[0]) {
+                assert!(difference(*a, *b) < 1e-4, "{all:?}");
+            }
+        }
+        all[all.len() - 1].clone()
+    }
 
     fn difference(a: f32, b: f32) -> f32 {
         let d = (a - b).rem_euclid(2.0 * PI);

@@ -1,28 +1,32 @@
-//! Gaussian scale space and its differences, one octave at a time (Lowe, IJCV 2004, section 3).
+//! Gaussian scale space (Lowe, IJCV 2004, section 3), one octave at a time, in one sweep over cache-sized tiles.
 //!
 //! Pixel grid: sample i of octave o lies at input coordinate `i * 2^o`, exactly. Doubling keeps every input pixel as an even
 //! sample and puts averages between them, so `w` columns become `2 w - 1`; halving keeps the even samples. Nothing is shifted
-//! by fractions of a pixel anywhere, and no correction is needed later.
+//! by fractions of a pixel anywhere, and no correction is needed later. Borders are mirrored about the border pixel.
 //!
-//! Borders are mirrored about the border pixel (`d c b | a b c d | c b a`). Cost of a blur with radius r: `2 (r + 1)`
-//! multiplications and `4 r` additions per pixel, without an intermediate image: each output row is one vertical pass into a
-//! row buffer that stays in the first cache, and one horizontal pass out of it.
+//! A [`Chain`] is the list of blurs of an octave; [`Chain::sweep`] pushes the rows of a tile through all of them. Each level keeps
+//! only the rows that the next blur and the visitor still need, in a [`Ring`], so that a tile of [`TILE_WIDTH`] columns stays in
+//! the second cache. Levels that are wanted later are copied to whole planes on the way. Tiles overlap by what the kernels reach;
+//! every value is computed by the same operations in whatever tile, so the result depends neither on tiles nor on threads.
 
-use rayon::prelude::*;
+use std::ops::Range;
 
-use crate::{GrayImage, Options};
+use fearless_simd::Simd;
 
-/// Octaves smaller than this on either side are not searched: nothing would be left inside the detector's border.
-pub(crate) const MIN_OCTAVE_SIZE: usize = 12;
+use crate::GrayImage;
+use crate::blur::{BLOCK, Kernel, along, down, mirrored};
 
-/// Rows per parallel task.
-const TASK_ROWS: usize = 16;
+/// Columns of a tile, without its overlap.
+const TILE_WIDTH: usize = 640;
 
-/// Columns whose sums are kept in registers together.
-const LANES: usize = 16;
+/// Rows before and after the visited one that the visitor may look at.
+pub(crate) const WINDOW: usize = 8;
+
+/// Columns to either side of the visited ones that the visitor may look at.
+const WINDOW_COLUMNS: usize = 10;
 
 /// A row-major plane of f32.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Plane {
     pub(crate) width: usize,
     pub(crate) height: usize,
@@ -30,368 +34,325 @@ pub(crate) struct Plane {
 }
 
 impl Plane {
-    fn zeros(width: usize, height: usize) -> Self {
-        Self {
-            width,
-            height,
-            data: vec![0.0; width * height],
-        }
+    /// Takes a size and keeps its memory. What the pixels are is left open.
+    pub(crate) fn resize(&mut self, width: usize, height: usize) {
+        (self.width, self.height) = (width, height);
+        self.data.resize(width * height, 0.0);
     }
 
+    #[inline(always)]
     pub(crate) fn row(&self, y: usize) -> &[f32] {
         &self.data[y * self.width..][..self.width]
     }
+}
 
+/// Where the rows of level 0 come from.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Source<'a> {
+    /// The image itself.
+    Image(&'a GrayImage),
+    /// The image at twice its sampling, linearly interpolated.
+    Doubled(&'a GrayImage),
     /// Every second pixel of every second row, starting with the first.
-    fn decimated(&self) -> Self {
-        let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
-        let mut data = Vec::with_capacity(width * height);
-        for y in 0..height {
-            data.extend(self.row(2 * y).iter().step_by(2));
-        }
-        Self {
-            width,
-            height,
-            data,
-        }
-    }
+    Halved(&'a Plane),
 }
 
-/// The image at twice its sampling: output pixel (i, j) is the input at (i / 2, j / 2), linearly interpolated;
-/// `w` x `h` gives `2 w - 1` x `2 h - 1`.
-fn doubled(image: &GrayImage) -> Plane {
-    let (w, h) = (image.width(), image.height());
-    let mut out = Plane::zeros(2 * w - 1, 2 * h - 1);
-    let row = |y: usize| &image.data()[y * w..][..w];
-    out.data
-        .par_chunks_mut(2 * w - 1)
-        .enumerate()
-        .with_min_len(TASK_ROWS)
-        .for_each(|(j, out)| {
-            let (a, b) = (row(j / 2), row(j.div_ceil(2)));
-            let mut last = 0.5 * (a[0] + b[0]);
-            out[0] = last;
-            for ((pair, a), b) in out[1..].chunks_exact_mut(2).zip(&a[1..]).zip(&b[1..]) {
-                let next = 0.5 * (a + b);
-                pair[0] = 0.5 * (last + next);
-                pair[1] = next;
-                last = next;
+impl Source<'_> {
+    /// Columns and rows.
+    pub(crate) fn size(&self) -> (usize, usize) {
+        match self {
+            Self::Image(i) => (i.width(), i.height()),
+            Self::Doubled(i) => (2 * i.width() - 1, 2 * i.height() - 1),
+            Self::Halved(p) => (p.width.div_ceil(2), p.height.div_ceil(2)),
+        }
+    }
+
+    /// Columns `columns` of row `y`.
+    #[inline(always)]
+    fn row(&self, y: usize, columns: Range<usize>, out: &mut [f32]) {
+        let out = &mut out[..columns.len()];
+        match self {
+            Self::Image(image) => {
+                out.copy_from_slice(&image.data()[y * image.width()..][columns]);
             }
-        });
-    out
-}
-
-/// Half of a symmetric kernel with sum 1: `half[i]` is the weight at distance i.
-#[derive(Debug, Clone)]
-struct Kernel {
-    half: Vec<f32>,
-}
-
-impl Kernel {
-    /// Gaussian, cut at 4 sigma (what is cut away is 6e-5 of the whole).
-    fn gaussian(sigma: f64) -> Self {
-        let radius = (4.0 * sigma).ceil().max(1.0) as usize;
-        let half: Vec<f64> = (0..=radius)
-            .map(|i| (-0.5 * (i as f64 / sigma).powi(2)).exp())
-            .collect();
-        let sum = half[0] + 2.0 * half[1..].iter().sum::<f64>();
-        Self {
-            half: half.into_iter().map(|v| (v / sum) as f32).collect(),
-        }
-    }
-
-    fn radius(&self) -> usize {
-        self.half.len() - 1
-    }
-}
-
-/// Index in `0..n` of position `i` in a line of n pixels mirrored about its end pixels.
-fn mirrored(i: isize, n: usize) -> usize {
-    if n == 1 {
-        return 0;
-    }
-    let period = 2 * (n as isize - 1);
-    let i = i.rem_euclid(period);
-    i.min(period - i) as usize
-}
-
-/// `out[j] = half[0] * centre[x + j] + sum_i half[i] * (a_i[x + j] + b_i[x + j])` for j in `0..N`.
-#[inline(always)]
-fn weighted<'a, const N: usize>(
-    half: &[f32],
-    centre: &[f32],
-    pairs: impl Iterator<Item = (&'a [f32], &'a [f32])>,
-    out: &mut [f32],
-) {
-    let mut sum = [0.0_f32; N];
-    for (s, c) in sum.iter_mut().zip(&centre[..N]) {
-        *s = half[0] * c;
-    }
-    for (k, (a, b)) in half[1..].iter().zip(pairs) {
-        let (a, b) = (&a[..N], &b[..N]);
-        for j in 0..N {
-            sum[j] += k * (a[j] + b[j]);
-        }
-    }
-    out[..N].copy_from_slice(&sum);
-}
-
-/// Calls `block(x, true)` for blocks of [`LANES`] columns that cover `0..width` (the last one may overlap the one before), or
-/// `block(x, false)` for single columns of a narrow plane. Every column is a sum of its own, so overlaps repeat it bit by bit.
-#[inline(always)]
-fn for_blocks(width: usize, mut block: impl FnMut(usize, bool)) {
-    if width < LANES {
-        (0..width).for_each(|x| block(x, false));
-        return;
-    }
-    (0..width - LANES)
-        .step_by(LANES)
-        .for_each(|x| block(x, true));
-    block(width - LANES, true);
-}
-
-/// Row `y` of `src` blurred along y, into `out`.
-fn blur_row_vertically<'a>(
-    src: &'a Plane,
-    y: usize,
-    kernel: &Kernel,
-    pairs: &mut Vec<(&'a [f32], &'a [f32])>,
-    out: &mut [f32],
-) {
-    let row = |i: isize| src.row(mirrored(i, src.height));
-    pairs.clear();
-    pairs
-        .extend((1..=kernel.radius() as isize).map(|i| (row(y as isize - i), row(y as isize + i))));
-    let centre = src.row(y);
-    for_blocks(src.width, |x, wide| {
-        let at = pairs.iter().map(|(a, b)| (&a[x..], &b[x..]));
-        if wide {
-            weighted::<LANES>(&kernel.half, &centre[x..], at, &mut out[x..]);
-        } else {
-            weighted::<1>(&kernel.half, &centre[x..], at, &mut out[x..]);
-        }
-    });
-}
-
-/// `padded` holds a row with `radius` free places on each side: fills them by mirroring and blurs along x, into `out`.
-fn blur_row_horizontally(padded: &mut [f32], kernel: &Kernel, out: &mut [f32]) {
-    let (w, r) = (out.len(), kernel.radius());
-    for i in 1..=r {
-        padded[r - i] = padded[r + mirrored(-(i as isize), w)];
-        padded[r + w - 1 + i] = padded[r + mirrored((w - 1 + i) as isize, w)];
-    }
-    let padded = &padded[..w + 2 * r];
-    for_blocks(w, |x, wide| {
-        let at = (1..=r).map(|i| (&padded[x + r - i..], &padded[x + r + i..]));
-        if wide {
-            weighted::<LANES>(&kernel.half, &padded[x + r..], at, &mut out[x..]);
-        } else {
-            weighted::<1>(&kernel.half, &padded[x + r..], at, &mut out[x..]);
-        }
-    });
-}
-
-/// `src` blurred, and the blurred plane minus `src`.
-fn blurred_with_difference(src: &Plane, kernel: &Kernel) -> (Plane, Plane) {
-    let (w, r) = (src.width, kernel.radius());
-    let mut out = Plane::zeros(w, src.height);
-    let mut difference = Plane::zeros(w, src.height);
-    let tasks = out
-        .data
-        .par_chunks_mut(w * TASK_ROWS)
-        .zip(difference.data.par_chunks_mut(w * TASK_ROWS));
-    tasks.enumerate().for_each(|(task, (out, difference))| {
-        let mut padded = vec![0.0; w + 2 * r];
-        let mut pairs = Vec::with_capacity(r);
-        for (i, (out, difference)) in out
-            .chunks_exact_mut(w)
-            .zip(difference.chunks_exact_mut(w))
-            .enumerate()
-        {
-            let y = task * TASK_ROWS + i;
-            blur_row_vertically(src, y, kernel, &mut pairs, &mut padded[r..r + w]);
-            blur_row_horizontally(&mut padded, kernel, out);
-            for ((d, o), s) in difference.iter_mut().zip(&*out).zip(src.row(y)) {
-                *d = o - s;
+            Self::Halved(plane) => {
+                let even = plane.row(2 * y)[2 * columns.start..].iter().step_by(2);
+                out.iter_mut().zip(even).for_each(|(o, v)| *o = *v);
             }
-        }
-    });
-    (out, difference)
-}
-
-/// One octave: `intervals + 3` Gaussian planes and the `intervals + 2` differences between neighbours.
-#[derive(Debug)]
-pub(crate) struct Octave {
-    /// Octave index o: a pixel here is 2^o input pixels.
-    pub(crate) index: i32,
-    /// Plane s has sigma `options.sigma_at(s)` in pixels of this octave.
-    pub(crate) gaussians: Vec<Plane>,
-    /// Plane s is `gaussians[s + 1] - gaussians[s]`.
-    pub(crate) differences: Vec<Plane>,
-}
-
-/// The octaves, finest first, each built when asked for.
-pub(crate) struct Octaves {
-    base: Plane,
-    index: i32,
-    steps: Vec<Kernel>,
-}
-
-impl Octaves {
-    /// Blurs the (doubled) image to `options.sigma`. `options` are checked.
-    pub(crate) fn new(image: &GrayImage, options: &Options) -> Self {
-        let index = options.first_octave;
-        let (raw, blur) = if options.first_octave < 0 {
-            (doubled(image), 2.0 * f64::from(options.assumed_blur))
-        } else {
-            let plane = Plane {
-                width: image.width(),
-                height: image.height(),
-                data: image.data().to_vec(),
-            };
-            (plane, f64::from(options.assumed_blur))
-        };
-        let sigma = f64::from(options.sigma);
-        let sigma_at = |s: usize| sigma * (s as f64 / options.intervals as f64).exp2();
-        let step = |from: f64, to: f64| Kernel::gaussian((to * to - from * from).sqrt());
-        let steps = (1..options.intervals + 3)
-            .map(|s| step(sigma_at(s - 1), sigma_at(s)))
-            .collect();
-        let mut base = if raw.width.min(raw.height) < MIN_OCTAVE_SIZE {
-            raw
-        } else {
-            blurred_with_difference(&raw, &step(blur, sigma)).0
-        };
-        let octave = step(sigma, 2.0 * sigma);
-        for _ in 0..index {
-            if base.width.min(base.height) >= MIN_OCTAVE_SIZE {
-                base = blurred_with_difference(&base, &octave).0.decimated();
-            }
-        }
-        Self { base, index, steps }
-    }
-}
-
-impl Iterator for Octaves {
-    type Item = Octave;
-
-    fn next(&mut self) -> Option<Octave> {
-        if self.base.width.min(self.base.height) < MIN_OCTAVE_SIZE {
-            return None;
-        }
-        let index = self.index;
-        let mut gaussians = vec![std::mem::replace(&mut self.base, Plane::zeros(0, 0))];
-        let mut differences = Vec::with_capacity(self.steps.len());
-        for kernel in &self.steps {
-            let (plane, difference) =
-                blurred_with_difference(&gaussians[gaussians.len() - 1], kernel);
-            gaussians.push(plane);
-            differences.push(difference);
-        }
-        // Two planes before the last: twice the sigma of the first.
-        self.base = gaussians[gaussians.len() - 3].decimated();
-        self.index += 1;
-        Some(Octave {
-            index,
-            gaussians,
-            differences,
-        })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn ramp(w: usize, h: usize) -> GrayImage {
-        GrayImage::from_fn(w, h, |x, y| 0.25 * x as f32 + 0.5 * y as f32).unwrap()
-    }
-
-    #[test]
-    fn doubling_puts_sample_i_at_i_over_2() {
-        for (w, h) in [(7, 5), (1, 4), (4, 1), (1, 1)] {
-            let out = doubled(&ramp(w, h));
-            assert_eq!((out.width, out.height), (2 * w - 1, 2 * h - 1));
-            for j in 0..out.height {
-                for i in 0..out.width {
-                    assert_eq!(
-                        out.row(j)[i],
-                        0.25 * (i as f32 / 2.0) + 0.5 * (j as f32 / 2.0)
-                    );
+            Self::Doubled(image) => {
+                let w = image.width();
+                let row = |y: usize| &image.data()[y * w..][..w];
+                let (above, below) = (row(y / 2), row(y.div_ceil(2)));
+                let at = |x: usize| 0.5 * (above[x] + below[x]);
+                let (first, pairs) = (columns.start / 2, columns.len() / 2);
+                debug_assert!(columns.start.is_multiple_of(2), "tiles begin at even columns");
+                let a = &above[first..];
+                let b = &below[first..];
+                for (i, pair) in out.chunks_exact_mut(2).enumerate().take(pairs) {
+                    let left = 0.5 * (a[i] + b[i]);
+                    let right = 0.5 * (a[i + 1] + b[i + 1]);
+                    pair[0] = left;
+                    pair[1] = 0.5 * (left + right);
+                }
+                if out.len() % 2 == 1 {
+                    out[2 * pairs] = at(first + pairs);
                 }
             }
         }
     }
+}
 
-    #[test]
-    fn decimation_undoes_doubling_exactly() {
-        let image =
-            GrayImage::from_fn(9, 6, |x, y| ((x * 31 + y * 17) % 23) as f32 / 23.0).unwrap();
-        let back = doubled(&image).decimated();
-        assert_eq!(
-            (back.width, back.height, &back.data[..]),
-            (9, 6, image.data())
+/// The last rows of one level within a tile.
+#[derive(Debug, Default)]
+struct Ring {
+    data: Vec<f32>,
+    stride: usize,
+    /// Rows that are kept.
+    kept: usize,
+    /// Columns of the level that this tile computes.
+    columns: Range<usize>,
+    /// Rows of the level that this tile computes.
+    rows: Range<usize>,
+    /// The next row to compute.
+    next: usize,
+}
+
+impl Ring {
+    /// Begin of row `y`, which must still be there; its first value is column `origin` of the tile.
+    #[inline(always)]
+    fn start(&self, y: usize) -> usize {
+        debug_assert!(
+            y < self.next && y + self.kept >= self.next,
+            "row {y} is gone or not there yet: {} kept before {}",
+            self.kept,
+            self.next
         );
+        y % self.kept * self.stride
     }
 
-    #[test]
-    fn mirror_repeats_no_border_pixel() {
-        let line: Vec<usize> = (-4..8).map(|i| mirrored(i, 4)).collect();
-        assert_eq!(line, [2, 3, 2, 1, 0, 1, 2, 3, 2, 1, 0, 1]);
-        assert_eq!(mirrored(-3, 1), 0);
+    fn is_complete(&self) -> bool {
+        self.next == self.rows.end
+    }
+}
+
+/// Buffers of one tile, reused for the next.
+#[derive(Debug, Default)]
+pub(crate) struct Scratch {
+    rings: Vec<Ring>,
+    padded: [Vec<f32>; 2],
+    starts: Vec<usize>,
+    /// For the visitor.
+    pub(crate) rows: Vec<f32>,
+}
+
+/// The levels of a tile around the visited row.
+pub(crate) struct Levels<'a> {
+    rings: &'a [Ring],
+    /// Column of the octave at which the rows begin.
+    pub(crate) origin: usize,
+    /// Size of the octave: columns and rows.
+    pub(crate) size: (usize, usize),
+    /// What is to be visited.
+    pub(crate) columns: Range<usize>,
+}
+
+impl Levels<'_> {
+    /// Row `y` of level `level`, from column [`origin`](Self::origin) on.
+    #[inline(always)]
+    pub(crate) fn row(&self, level: usize, y: usize) -> &[f32] {
+        let ring = &self.rings[level];
+        let start = ring.start(y);
+        &ring.data[start..start + ring.stride]
+    }
+}
+
+/// The blurs of one octave: level 0 is the source, level k + 1 is level k after `kernels[k]`.
+#[derive(Debug, Default)]
+pub(crate) struct Chain {
+    pub(crate) kernels: Vec<Kernel>,
+    /// Levels that are copied to planes.
+    pub(crate) kept: Range<usize>,
+}
+
+impl Chain {
+    /// Column ranges of the tiles of an octave.
+    pub(crate) fn tiles(width: usize) -> impl Iterator<Item = Range<usize>> {
+        let count = width.div_ceil(TILE_WIDTH).max(1);
+        (0..count).map(move |i| width * i / count..width * (i + 1) / count)
     }
 
-    #[test]
-    fn blur_equals_its_definition_at_every_width() {
-        for (w, h) in [(1, 1), (3, 20), (15, 4), (16, 9), (17, 16), (41, 33)] {
-            let src = Plane {
-                width: w,
-                height: h,
-                data: (0..w * h)
-                    .map(|i| ((i * 7919) % 101) as f32 / 101.0)
-                    .collect(),
-            };
-            let kernel = Kernel::gaussian(1.3);
-            let (out, difference) = blurred_with_difference(&src, &kernel);
-            let k = |i: isize| f64::from(kernel.half[i.unsigned_abs()]);
-            let r = kernel.radius() as isize;
-            for y in 0..h {
-                for x in 0..w {
-                    let mut sum = 0.0;
-                    for j in -r..=r {
-                        for i in -r..=r {
-                            let v =
-                                src.row(mirrored(y as isize + j, h))[mirrored(x as isize + i, w)];
-                            sum += k(i) * k(j) * f64::from(v);
-                        }
+    /// Computes the levels for the tile `rows` x `columns` of `source`.
+    ///
+    /// `planes[i]` takes the tile's rows of level `kept.start + i`: whole rows of the octave, beginning with `rows.start`.
+    /// `visit` is called for each row of the tile in order, with all levels within [`WINDOW`] rows of it.
+    #[inline(always)]
+    pub(crate) fn sweep<S: Simd>(
+        &self,
+        s: S,
+        source: &Source<'_>,
+        rows: Range<usize>,
+        columns: Range<usize>,
+        scratch: &mut Scratch,
+        planes: &mut [&mut [f32]],
+        mut visit: impl FnMut(&Levels<'_>, &mut Vec<f32>, usize),
+    ) {
+        let (w, h) = source.size();
+        let Scratch {
+            rings,
+            padded,
+            starts,
+            rows: visitor_rows,
+        } = scratch;
+        let origin = self.plan((w, h), &rows, &columns, rings, padded);
+        let last = self.kernels.len();
+        let mut visited = rows.start;
+        while visited < rows.end {
+            for level in 0..=last {
+                let (before, from) = rings.split_at_mut(level);
+                let (ring, after) = from.split_first_mut().expect("plan made a ring per level");
+                // A row may be overwritten when neither the next blur nor the visitor comes back to it.
+                let needed = after.first().map_or(usize::MAX, |next| {
+                    let reach = self.kernels[level].radius();
+                    if next.is_complete() { usize::MAX } else { next.next.saturating_sub(reach) }
+                });
+                let needed = needed.min(visited.saturating_sub(WINDOW));
+                let count = (ring.rows.end - ring.next).min(2);
+                if count == 0 || ring.next + count > needed + ring.kept {
+                    continue;
+                }
+                let y = ring.next;
+                if level == 0 {
+                    for y in y..y + count {
+                        let at = y % ring.kept * ring.stride;
+                        source.row(y, ring.columns.clone(), &mut ring.data[at..]);
                     }
-                    assert!(
-                        (f64::from(out.row(y)[x]) - sum).abs() < 1e-6,
-                        "({x}, {y}) of {w} x {h}"
-                    );
-                    assert_eq!(difference.row(y)[x], out.row(y)[x] - src.row(y)[x]);
+                } else {
+                    let below = &before[level - 1];
+                    let kernel = &self.kernels[level - 1];
+                    let r = kernel.radius();
+                    if !(below.is_complete() || y + count + r <= below.next) {
+                        continue;
+                    }
+                    starts.clear();
+                    for i in 0..2 * r + 2 {
+                        let of_second = count == 1 && i == 2 * r + 1;
+                        let i = if of_second { i - 1 } else { i };
+                        starts.push(below.start(mirrored((y + i) as isize - r as isize, h)));
+                    }
+                    let at = [y, y + count - 1].map(|y| y % ring.kept * ring.stride);
+                    blur_pair(s, kernel, below, starts, padded, (origin, w), ring, at, count);
                 }
+                ring.next += count;
+                if self.kept.contains(&level) {
+                    let plane = &mut planes[level - self.kept.start];
+                    for y in (y..y + count).filter(|y| rows.contains(y)) {
+                        let from = y % ring.kept * ring.stride + (columns.start - origin);
+                        plane[(y - rows.start) * w..][columns.clone()]
+                            .copy_from_slice(&ring.data[from..from + columns.len()]);
+                    }
+                }
+            }
+            while visited < rows.end
+                && (rings[last].is_complete() || visited + WINDOW < rings[last].next)
+            {
+                let levels = Levels {
+                    rings,
+                    origin,
+                    size: (w, h),
+                    columns: columns.clone(),
+                };
+                visit(&levels, visitor_rows, visited);
+                visited += 1;
             }
         }
     }
 
-    #[test]
-    fn octaves_halve_until_nothing_is_left_to_search() {
-        let sizes: Vec<_> = Octaves::new(&ramp(50, 40), &Options::default())
-            .map(|o| {
-                (
-                    o.index,
-                    o.gaussians[0].width,
-                    o.gaussians[0].height,
-                    o.gaussians.len(),
-                    o.differences.len(),
-                )
-            })
-            .collect();
-        assert_eq!(
-            sizes,
-            [(-1, 99, 79, 6, 5), (0, 50, 40, 6, 5), (1, 25, 20, 6, 5)]
-        );
-        assert_eq!(Octaves::new(&ramp(5, 900), &Options::default()).count(), 0);
+    /// Gives each level its rows, columns and memory; returns the column at which all rows begin.
+    fn plan(
+        &self,
+        (w, h): (usize, usize),
+        rows: &Range<usize>,
+        columns: &Range<usize>,
+        rings: &mut Vec<Ring>,
+        padded: &mut [Vec<f32>; 2],
+    ) -> usize {
+        rings.resize_with(self.kernels.len() + 1, Ring::default);
+        let mut rows = rows.start.saturating_sub(WINDOW)..(rows.end + WINDOW).min(h);
+        let mut columns =
+            columns.start.saturating_sub(WINDOW_COLUMNS)..(columns.end + WINDOW_COLUMNS).min(w);
+        let mut kept = 2 * WINDOW + 4;
+        for level in (0..rings.len()).rev() {
+            let ring = &mut rings[level];
+            // Whole blocks of the level above are computed from what follows its last column, whatever that is.
+            (ring.rows, ring.columns) = (rows.clone(), columns.clone());
+            (ring.kept, ring.next) = (kept, rows.start);
+            if let Some(below) = level.checked_sub(1) {
+                let r = self.kernels[below].radius();
+                kept = (kept + r + 4).max(2 * r + 8);
+                rows = rows.start.saturating_sub(r)..(rows.end + r).min(h);
+                columns = columns.start.saturating_sub(r)..(columns.end + r).min(w);
+                if below == 0 {
+                    // The doubled image is made in pairs of columns.
+                    columns.start -= columns.start % 2;
+                }
+            }
+        }
+        let origin = rings[0].columns.start;
+        let stride = rings[0].columns.len().next_multiple_of(BLOCK) + 2 * BLOCK;
+        for ring in rings.iter_mut() {
+            ring.stride = stride;
+            // Old values may remain: whatever is read as a pixel has been computed before.
+            ring.data.resize(ring.kept * stride + BLOCK, 0.0);
+        }
+        let widest = self.kernels.iter().map(Kernel::radius).max().unwrap_or(0);
+        for row in padded {
+            row.resize(stride + 2 * widest + 2 * BLOCK, 0.0);
+        }
+        origin
+    }
+}
+
+/// Rows `y` and `y + 1` of a level from the level below it, into the rows of `ring` that begin at `at`; only the first when
+/// `count` is 1.
+#[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "the inside of one loop")]
+fn blur_pair<S: Simd>(
+    s: S,
+    kernel: &Kernel,
+    below: &Ring,
+    starts: &mut [usize],
+    padded: &mut [Vec<f32>; 2],
+    (origin, w): (usize, usize),
+    ring: &mut Ring,
+    at: [usize; 2],
+    count: usize,
+) {
+    let r = kernel.radius();
+    let Range { start, end } = ring.columns;
+    // Columns of the level below that there are, and where they stand in the padded rows: `padded[i]` is column
+    // `start - r + i`.
+    let (from, to) = (start.saturating_sub(r), (end + r).min(w));
+    let place = r - (start - from);
+    starts.iter_mut().for_each(|s| *s += from - origin);
+    let [first, second] = padded;
+    down(
+        s,
+        kernel,
+        &below.data,
+        starts,
+        to - from,
+        &mut first[place..],
+        &mut second[place..],
+    );
+    for (padded, at) in [first, second].into_iter().zip(at).take(count) {
+        let pixel = |column: isize| mirrored(column, w) - from + place;
+        for i in 0..place {
+            padded[i] = padded[pixel(i as isize + start as isize - r as isize)];
+        }
+        for column in to..end + r {
+            padded[column - from + place] = padded[pixel(column as isize)];
+        }
+        let at = at + (start - origin);
+        along(s, kernel, padded, end - start, &mut ring.data[at..]);
     }
 }
