@@ -11,7 +11,7 @@
 
 use std::f32::consts::TAU;
 
-use fearless_simd::{Simd, f32x8, prelude::*};
+use fearless_simd::{Simd, f32x8, i32x8, prelude::*};
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::ser::SerializeTuple;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -92,7 +92,7 @@ pub(crate) fn describe<S: Simd>(
 }
 
 /// Samples per side that vote.
-const SAMPLES: usize = 22;
+const SAMPLES: usize = 14;
 
 /// Samples per side, with one around for the gradients.
 const SIDE: usize = SAMPLES + 2;
@@ -158,11 +158,11 @@ impl Patch {
         let reach = centre * (sin.abs() + cos.abs()) + 1.0;
         let fits = |p: f32, size: usize| p - reach >= 0.0 && p + reach <= size as f32 - 1.0;
         if fits(x, plane.width) && fits(y, plane.height) {
-            let values = Self::rows::<S, false>(s, plane, [x, y], [cos, sin]).0;
+            let values = Self::rows::<S, false>(s, plane, [x, y], reach, [cos, sin]).0;
             let inside = None;
             Self { values, inside }
         } else {
-            let (values, inside) = Self::rows::<S, true>(s, plane, [x, y], [cos, sin]);
+            let (values, inside) = Self::rows::<S, true>(s, plane, [x, y], reach, [cos, sin]);
             let inside = Some(inside);
             Self { values, inside }
         }
@@ -174,6 +174,7 @@ impl Patch {
         s: S,
         plane: &Plane,
         [x, y]: [f32; 2],
+        reach: f32,
         [cos, sin]: [f32; 2],
     ) -> ([[f32; STRIDE]; SIDE], [[f32; STRIDE]; SIDE]) {
         let mut values = [[0.0; STRIDE]; SIDE];
@@ -183,6 +184,9 @@ impl Patch {
         let least = f32x8::splat(s, 0.0);
         let centre = 0.5 * (SIDE - 1) as f32;
         let lanes = f32x8::from_slice(s, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+        // Offsets from a row near the keypoint fit 32 bits in any image.
+        let first_row = (y - reach).floor().clamp(0.0, plane.height as f32 - 1.0);
+        let data = &plane.data[first_row as usize * w..];
         for j in 0..SIDE {
             let v = j as f32 - centre;
             let (row_x, row_y) = (x - sin * v, y + cos * v);
@@ -203,22 +207,20 @@ impl Patch {
                     (x0, y0) = (x0.min(most[0] - 1.0), y0.min(most[1] - 1.0));
                 }
                 let (fx, fy) = (px - x0, py - y0);
-                let (columns, rows) = (x0.to_array(), y0.to_array());
-                let mut corners = [[0.0; 8]; 4];
+                let at: i32x8<S> = x0.to_int();
+                let row: i32x8<S> = (y0 - first_row).to_int();
+                let at = (at + row * w as i32).to_array();
+                // Pairs of neighbours: pixel and right neighbour of the upper row, then of the lower one.
+                let (mut upper, mut lower) = ([0.0; 16], [0.0; 16]);
                 for i in 0..8 {
-                    let at = rows[i] as usize * w + columns[i] as usize;
-                    let (top, bottom) = (&plane.data[at..at + 2], &plane.data[at + w..][..2]);
-                    corners[0][i] = top[0];
-                    corners[1][i] = top[1];
-                    corners[2][i] = bottom[0];
-                    corners[3][i] = bottom[1];
+                    let at = at[i] as usize;
+                    upper[2 * i..2 * i + 2].copy_from_slice(&data[at..at + 2]);
+                    lower[2 * i..2 * i + 2].copy_from_slice(&data[at + w..][..2]);
                 }
-                let [a, b, c, d] = [
-                    f32x8::from_slice(s, &corners[0]),
-                    f32x8::from_slice(s, &corners[1]),
-                    f32x8::from_slice(s, &corners[2]),
-                    f32x8::from_slice(s, &corners[3]),
-                ];
+                let (a, b) = f32x8::from_slice(s, &upper[..8])
+                    .deinterleave(f32x8::from_slice(s, &upper[8..]));
+                let (c, d) = f32x8::from_slice(s, &lower[..8])
+                    .deinterleave(f32x8::from_slice(s, &lower[8..]));
                 let top = (b - a).mul_add(fx, a);
                 let bottom = (d - c).mul_add(fx, c);
                 let value = (bottom - top).mul_add(fy, top);

@@ -37,7 +37,7 @@ const MOVE_BEYOND: f64 = 0.6;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Extremum {
     pub(crate) octave: i32,
-    /// Nearest Gaussian layer, `1..=intervals`.
+    /// Nearest Gaussian layer, `0..intervals`.
     pub(crate) layer: usize,
     /// Position in pixels of the octave.
     pub(crate) x: f32,
@@ -70,6 +70,8 @@ pub(crate) struct Scan<'a> {
     pub(crate) octave: i32,
     /// Level of the chain that is Gaussian layer 0.
     pub(crate) base: usize,
+    /// Layers to search.
+    pub(crate) layers: Range<usize>,
 }
 
 /// Finds the extrema of one tile, row by row.
@@ -79,6 +81,7 @@ pub(crate) struct Scanner<'a> {
     pub(crate) found: Vec<Extremum>,
     /// The next row of differences to compute.
     next: usize,
+    hits: Vec<usize>,
 }
 
 impl<'a> Scanner<'a> {
@@ -88,11 +91,12 @@ impl<'a> Scanner<'a> {
             scan,
             found: Vec::new(),
             next: first_row.saturating_sub(1),
+            hits: Vec::new(),
         }
     }
 }
 
-/// Three rows of the differences of one tile: row y of layer k begins at `(3 k + y % 3) * stride`.
+/// Three rows of the differences of one tile, the finest first: row y of number k begins at `(3 k + y % 3) * stride`.
 struct Differences<'a> {
     data: &'a [f32],
     stride: usize,
@@ -119,16 +123,16 @@ impl Scanner<'_> {
         if y < BORDER || y + BORDER >= h || w <= 2 * BORDER {
             return;
         }
-        let layers = self.scan.options.intervals + 2;
+        // The differences of the layers to search, and of one more before and after.
+        let layers = self.scan.layers.clone();
+        let count = layers.len() + 2;
+        let finest = self.scan.base + layers.start - 1;
         let stride = levels.row(self.scan.base, y).len();
-        rows.resize(3 * layers * stride, 0.0);
+        rows.resize(3 * count * stride, 0.0);
         for y in self.next.max(y - 1)..=y + 1 {
-            for layer in 0..layers {
-                let (fine, coarse) = (
-                    levels.row(self.scan.base + layer, y),
-                    levels.row(self.scan.base + layer + 1, y),
-                );
-                let out = &mut rows[(3 * layer + y % 3) * stride..][..stride];
+            for i in 0..count {
+                let (fine, coarse) = (levels.row(finest + i, y), levels.row(finest + i + 1, y));
+                let out = &mut rows[(3 * i + y % 3) * stride..][..stride];
                 for ((out, a), b) in out
                     .chunks_exact_mut(16)
                     .zip(fine.chunks_exact(16))
@@ -142,28 +146,24 @@ impl Scanner<'_> {
         let differences = Differences { data: rows, stride };
         let begin = levels.columns.start.max(BORDER) - levels.origin;
         let end = levels.columns.end.min(w - BORDER).max(begin + levels.origin) - levels.origin;
-        for layer in 1..=self.scan.options.intervals {
+        for (i, layer) in layers.enumerate() {
             // The refined value is larger than the sample's, so the samples get some leeway.
             let threshold = 0.8 * self.scan.thresholds[layer];
-            scan_row(s, &differences, layer, y, threshold, begin..end, |x| {
-                let around = Neighbourhood {
-                    levels,
-                    base: self.scan.base,
-                };
-                let x = x + levels.origin;
-                self.found.extend(refine(
-                    s,
-                    &around,
-                    self.scan,
-                    [x, y],
-                    layer,
-                ));
-            });
+            self.hits.clear();
+            scan_row(s, &differences, i + 1, y, threshold, begin..end, &mut self.hits);
+            let around = Neighbourhood {
+                levels,
+                base: self.scan.base,
+            };
+            for &x in &self.hits {
+                let sample = [x + levels.origin, y];
+                (self.found).extend(refine(s, &around, self.scan, sample, layer));
+            }
         }
     }
 }
 
-/// Calls `hit(x)` for each extremum of `layer` in row `y` with |DoG| above `threshold`.
+/// Columns of the extrema in row `y` of the differences `layer` with |DoG| above `threshold`, into `hits`.
 #[inline(always)]
 fn scan_row<S: Simd>(
     s: S,
@@ -172,7 +172,7 @@ fn scan_row<S: Simd>(
     y: usize,
     threshold: f32,
     columns: Range<usize>,
-    mut hit: impl FnMut(usize),
+    hits: &mut Vec<usize>,
 ) {
     let row = |layer: usize, y: usize| differences.row(layer, y);
     let here = row(layer, y);
@@ -197,7 +197,7 @@ fn scan_row<S: Simd>(
             let x = start + bits.trailing_zeros() as usize;
             bits &= bits - 1;
             if x < columns.end && is_extremum(differences, layer, x, y) {
-                hit(x);
+                hits.push(x);
             }
         }
     }
@@ -316,10 +316,10 @@ struct Neighbourhood<'a> {
 }
 
 impl Neighbourhood<'_> {
-    /// Gaussian layer `layer`, row `y`, from column `x` on.
+    /// Row `y` of a level of the chain, from column `x` on.
     #[inline(always)]
-    fn gaussian(&self, layer: usize, x: usize, y: usize) -> &[f32] {
-        &self.levels.row(self.base + layer, y)[x - self.levels.origin..]
+    fn gaussian(&self, level: usize, x: usize, y: usize) -> &[f32] {
+        &self.levels.row(level, y)[x - self.levels.origin..]
     }
 
     /// The neighbourhood of a sample.
@@ -327,7 +327,7 @@ impl Neighbourhood<'_> {
     fn cube_at(&self, layer: usize, x: usize, y: usize) -> Cube {
         let gaussian: [[[f32; 3]; 3]; 4] = std::array::from_fn(|s| {
             std::array::from_fn(|j| {
-                let row = &self.gaussian(layer + s - 1, x - 1, y + j - 1)[..3];
+                let row = &self.gaussian(self.base + layer + s - 1, x - 1, y + j - 1)[..3];
                 [row[0], row[1], row[2]]
             })
         });
@@ -357,7 +357,7 @@ impl Neighbourhood<'_> {
         for k in 0..4 {
             let mut values = [f32x8::splat(s, 0.0); 3];
             for j in 0..8 {
-                let row = f32x8::from_slice(s, &self.gaussian(layer + k - 1, left, top + j)[..8]);
+                let row = f32x8::from_slice(s, &self.gaussian(self.base + layer + k - 1, left, top + j)[..8]);
                 for (i, value) in values.iter_mut().enumerate() {
                     if (i..i + 6).contains(&j) {
                         *value = row.mul_add(f32x8::splat(s, wy[j - i]), *value);
@@ -409,6 +409,7 @@ fn refine<S: Simd>(
         options,
         thresholds,
         octave,
+        ref layers,
         ..
     } = *scan;
     let (w, h) = around.levels.size;
@@ -439,7 +440,7 @@ fn refine<S: Simd>(
         );
         let inside = (BORDER..w - BORDER).contains(&x) && (BORDER..h - BORDER).contains(&y);
         let near = x.abs_diff(start[0]).max(y.abs_diff(start[1])) <= REACH;
-        if !inside || !near || !(1..=options.intervals).contains(&layer) {
+        if !inside || !near || !layers.contains(&layer) {
             return None;
         }
     };

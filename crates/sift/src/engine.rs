@@ -31,7 +31,7 @@ pub struct Sift {
 /// What is kept from image to image.
 #[derive(Debug, Default)]
 struct Workspace {
-    /// Gaussian layers `1..=intervals` of each octave, the finest first: where keypoints are oriented and described.
+    /// Gaussian layers `0..=intervals` of each octave, the finest first: where keypoints are oriented and described.
     octaves: Vec<Vec<Plane>>,
     /// The image reduced to each octave before the first.
     reduced: Vec<Plane>,
@@ -120,7 +120,7 @@ impl Sift {
 
     /// The Gaussian layer in which an extremum is oriented and described.
     fn plane_of(&self, e: &Extremum) -> &Plane {
-        &self.work.octaves[(e.octave - self.options.first_octave) as usize][e.layer - 1]
+        &self.work.octaves[(e.octave - self.options.first_octave) as usize][e.layer]
     }
 
     fn orientations(&self, e: &Extremum) -> Orientations {
@@ -147,7 +147,7 @@ impl Sift {
         let sigma = f64::from(options.sigma);
         let sigma_at = |s: usize| sigma * (s as f64 / options.intervals as f64).exp2();
         let step = |from: f64, to: f64| Kernel::gaussian((to * to - from * from).sqrt());
-        let steps: Vec<Kernel> = (1..options.intervals + 3)
+        let steps: Vec<Kernel> = (1..options.intervals + 2)
             .map(|s| step(sigma_at(s - 1), sigma_at(s)))
             .collect();
         let blur = f64::from(options.assumed_blur);
@@ -170,43 +170,55 @@ impl Sift {
             let mut kernels = std::mem::take(&mut base);
             kernels.push(step(sigma, 2.0 * sigma));
             let kept = kernels.len()..kernels.len() + 1;
-            let chain = Chain { kernels, kept };
-            run(*simd, &chain, source, &mut from[..1], &mut work.scratch, None);
+            let chain = Chain {
+                sources: vec![source],
+                kernels,
+                kept,
+            };
+            run(*simd, &chain, &mut from[..1], &mut work.scratch, None);
         }
 
         let mut found = Vec::new();
         for octave in 0.. {
             if work.octaves.len() == octave {
-                work.octaves.push(Vec::new());
+                work.octaves.push(vec![Plane::default(); options.intervals + 1]);
             }
             let (before, from) = work.octaves.split_at_mut(octave);
-            let source = match (before.last(), work.reduced.last()) {
-                (Some(planes), _) => Source::Halved(&planes[options.intervals - 1]),
-                (None, Some(plane)) => Source::Halved(plane),
-                (None, None) if first < 0 => Source::Doubled(image),
-                (None, None) => Source::Image(image),
+            let sources = match (before.last(), work.reduced.last()) {
+                (Some(finer), _) => (finer[options.intervals - 1..].iter())
+                    .map(Source::Halved)
+                    .collect(),
+                (None, Some(plane)) => vec![Source::Halved(plane)],
+                (None, None) if first < 0 => vec![Source::Doubled(image)],
+                (None, None) => vec![Source::Image(image)],
             };
-            if !big_enough(&source) {
+            if !big_enough(&sources[0]) {
                 break;
             }
-            let planes = &mut from[0];
-            planes.resize_with(options.intervals, Plane::default);
             let mut kernels = std::mem::take(&mut base);
-            let level_0 = kernels.len();
+            // Level of the chain that is layer 0; the one before it is layer -1, if there is one.
+            let base = sources.len() - 1 + kernels.len();
             kernels.extend(steps.iter().cloned());
-            let kept = level_0 + 1..level_0 + 1 + options.intervals;
-            let chain = Chain { kernels, kept };
+            let layers = usize::from(octave == 0)..options.intervals;
+            let stored = layers.start.min(options.intervals - 1);
             let index = first + octave as i32;
-            let thresholds: Vec<f32> = (0..=options.intervals)
+            let thresholds: Vec<f32> = (0..options.intervals)
                 .map(|layer| contrast.threshold(options, index, layer))
                 .collect();
             let scan = Scan {
                 options,
                 thresholds: &thresholds,
                 octave: index,
-                base: level_0,
+                base,
+                layers,
             };
-            let mut new = run(*simd, &chain, source, planes, &mut work.scratch, Some(&scan));
+            let chain = Chain {
+                sources,
+                kernels,
+                kept: base + stored..base + options.intervals + 1,
+            };
+            let planes = &mut from[0][stored..];
+            let mut new = run(*simd, &chain, planes, &mut work.scratch, Some(&scan));
             // Two samples may lead to the same extremum.
             new.sort_unstable_by_key(|e| (e.layer, e.sample.1, e.sample.0));
             new.dedup_by_key(|e| (e.layer, e.sample));
@@ -238,13 +250,12 @@ fn walk(found: &[Extremum]) -> Vec<usize> {
 /// Pushes `source` through `chain` into `planes`, band by band on all threads, and looks for extrema on the way.
 fn run(
     simd: Simd,
-    chain: &Chain,
-    source: Source<'_>,
+    chain: &Chain<'_>,
     planes: &mut [Plane],
     scratch: &mut Vec<Scratch>,
     scan: Option<&Scan<'_>>,
 ) -> Vec<Extremum> {
-    let (w, h) = source.size();
+    let (w, h) = chain.size();
     planes.iter_mut().for_each(|p| p.resize(w, h));
     let bands = rayon::current_num_threads().min(h / LEAST_ROWS).max(1);
     let band = h.div_ceil(bands);
@@ -269,11 +280,11 @@ fn run(
                 let mut scanner = scan.map(|s| Scanner::new(s, rows.start));
                 at_level!(simd, s => chain.sweep(
                     s,
-                    &source,
                     rows.clone(),
                     columns,
                     scratch,
                     &mut planes,
+                    #[inline(always)]
                     |levels, memory, y| {
                         if let Some(scanner) = &mut scanner {
                             scanner.visit(s, levels, memory, y);

@@ -19,7 +19,7 @@ pub struct Keypoint {
     pub response: f32,
     /// Octave in which it was found: pixels there are `2^octave` input pixels; -1 is the doubled image.
     pub octave: i32,
-    /// Nearest Gaussian layer within the octave, `1..=intervals`.
+    /// Nearest Gaussian layer within the octave, `0..intervals`.
     pub layer: u32,
 }
 

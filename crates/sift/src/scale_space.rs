@@ -11,7 +11,7 @@
 
 use std::ops::Range;
 
-use fearless_simd::Simd;
+use fearless_simd::{Simd, f32x8, prelude::*};
 
 use crate::GrayImage;
 use crate::blur::{BLOCK, Kernel, along, down, mirrored};
@@ -69,7 +69,7 @@ impl Source<'_> {
 
     /// Columns `columns` of row `y`.
     #[inline(always)]
-    fn row(&self, y: usize, columns: Range<usize>, out: &mut [f32]) {
+    fn row<S: Simd>(&self, s: S, y: usize, columns: Range<usize>, out: &mut [f32]) {
         let out = &mut out[..columns.len()];
         match self {
             Self::Image(image) => {
@@ -83,23 +83,31 @@ impl Source<'_> {
                 let w = image.width();
                 let row = |y: usize| &image.data()[y * w..][..w];
                 let (above, below) = (row(y / 2), row(y.div_ceil(2)));
-                let at = |x: usize| 0.5 * (above[x] + below[x]);
-                let (first, pairs) = (columns.start / 2, columns.len() / 2);
                 debug_assert!(columns.start.is_multiple_of(2), "tiles begin at even columns");
-                let a = &above[first..];
-                let b = &below[first..];
-                for (i, pair) in out.chunks_exact_mut(2).enumerate().take(pairs) {
-                    let left = 0.5 * (a[i] + b[i]);
-                    let right = 0.5 * (a[i + 1] + b[i + 1]);
-                    pair[0] = left;
-                    pair[1] = 0.5 * (left + right);
+                let (above, below) = (&above[columns.start / 2..], &below[columns.start / 2..]);
+                let mut done = 0;
+                while done + 16 <= out.len() && done / 2 + 9 <= above.len() {
+                    let i = done / 2;
+                    let here = double::<S>(s, &above[i..i + 8], &below[i..i + 8]);
+                    let next = double::<S>(s, &above[i + 1..i + 9], &below[i + 1..i + 9]);
+                    let (low, high) = here.interleave((here + next) * 0.5);
+                    low.store_slice(&mut out[done..done + 8]);
+                    high.store_slice(&mut out[done + 8..done + 16]);
+                    done += 16;
                 }
-                if out.len() % 2 == 1 {
-                    out[2 * pairs] = at(first + pairs);
+                for (i, out) in out.iter_mut().enumerate().skip(done) {
+                    let at = |x: usize| 0.5 * (above[x] + below[x]);
+                    *out = if i % 2 == 0 { at(i / 2) } else { 0.5 * (at(i / 2) + at(i / 2 + 1)) };
                 }
             }
         }
     }
+}
+
+/// Means of two rows.
+#[inline(always)]
+fn double<S: Simd>(s: S, above: &[f32], below: &[f32]) -> f32x8<S> {
+    (f32x8::from_slice(s, above) + f32x8::from_slice(s, below)) * 0.5
 }
 
 /// The last rows of one level within a tile.
@@ -128,6 +136,29 @@ impl Ring {
             self.next
         );
         y % self.kept * self.stride
+    }
+
+    /// Begins of the rows from `y - radius` to `y + count - 1 + radius`, mirrored at the ends of `height` rows; as many as two
+    /// rows need, the last one repeated when `count` is 1.
+    fn starts(&self, y: usize, count: usize, radius: usize, height: usize, out: &mut Vec<usize>) {
+        out.clear();
+        let rows = 2 * radius + count;
+        if y >= radius && y + count + radius <= height {
+            let mut slot = (y - radius) % self.kept;
+            debug_assert_eq!(self.start(y - radius), slot * self.stride);
+            debug_assert!(y + count + radius <= self.next);
+            for _ in 0..rows {
+                out.push(slot * self.stride);
+                slot += 1;
+                if slot == self.kept {
+                    slot = 0;
+                }
+            }
+        } else {
+            let begin = y as isize - radius as isize;
+            out.extend((0..rows as isize).map(|i| self.start(mirrored(begin + i, height))));
+        }
+        out.resize(2 * radius + 2, out[rows - 1]);
     }
 
     fn is_complete(&self) -> bool {
@@ -166,22 +197,35 @@ impl Levels<'_> {
     }
 }
 
-/// The blurs of one octave: level 0 is the source, level k + 1 is level k after `kernels[k]`.
-#[derive(Debug, Default)]
-pub(crate) struct Chain {
+/// The levels of one octave: first the sources as they are, then the last source after `kernels[0]`, that after `kernels[1]`,
+/// and so on.
+#[derive(Debug)]
+pub(crate) struct Chain<'a> {
+    /// At least one; all have the same size.
+    pub(crate) sources: Vec<Source<'a>>,
     pub(crate) kernels: Vec<Kernel>,
     /// Levels that are copied to planes.
     pub(crate) kept: Range<usize>,
 }
 
-impl Chain {
+impl Chain<'_> {
     /// Column ranges of the tiles of an octave.
     pub(crate) fn tiles(width: usize) -> impl Iterator<Item = Range<usize>> {
         let count = width.div_ceil(TILE_WIDTH).max(1);
         (0..count).map(move |i| width * i / count..width * (i + 1) / count)
     }
 
-    /// Computes the levels for the tile `rows` x `columns` of `source`.
+    /// Columns and rows of the octave.
+    pub(crate) fn size(&self) -> (usize, usize) {
+        self.sources[0].size()
+    }
+
+    /// The blur that makes `level` of the level below it; `None` for a source and beyond the last level.
+    fn kernel(&self, level: usize) -> Option<&Kernel> {
+        self.kernels.get(level.checked_sub(self.sources.len())?)
+    }
+
+    /// Computes the levels for the tile `rows` x `columns`.
     ///
     /// `planes[i]` takes the tile's rows of level `kept.start + i`: whole rows of the octave, beginning with `rows.start`.
     /// `visit` is called for each row of the tile in order, with all levels within [`WINDOW`] rows of it.
@@ -189,14 +233,13 @@ impl Chain {
     pub(crate) fn sweep<S: Simd>(
         &self,
         s: S,
-        source: &Source<'_>,
         rows: Range<usize>,
         columns: Range<usize>,
         scratch: &mut Scratch,
         planes: &mut [&mut [f32]],
         mut visit: impl FnMut(&Levels<'_>, &mut Vec<f32>, usize),
     ) {
-        let (w, h) = source.size();
+        let (w, h) = self.size();
         let Scratch {
             rings,
             padded,
@@ -204,43 +247,39 @@ impl Chain {
             rows: visitor_rows,
         } = scratch;
         let origin = self.plan((w, h), &rows, &columns, rings, padded);
-        let last = self.kernels.len();
+        let levels = rings.len();
         let mut visited = rows.start;
         while visited < rows.end {
-            for level in 0..=last {
+            for level in 0..levels {
                 let (before, from) = rings.split_at_mut(level);
                 let (ring, after) = from.split_first_mut().expect("plan made a ring per level");
                 // A row may be overwritten when neither the next blur nor the visitor comes back to it.
-                let needed = after.first().map_or(usize::MAX, |next| {
-                    let reach = self.kernels[level].radius();
-                    if next.is_complete() { usize::MAX } else { next.next.saturating_sub(reach) }
-                });
+                let next = after.first().zip(self.kernel(level + 1));
+                let needed = match next {
+                    Some((next, kernel)) if !next.is_complete() => {
+                        next.next.saturating_sub(kernel.radius())
+                    }
+                    _ => usize::MAX,
+                };
                 let needed = needed.min(visited.saturating_sub(WINDOW));
                 let count = (ring.rows.end - ring.next).min(2);
                 if count == 0 || ring.next + count > needed + ring.kept {
                     continue;
                 }
                 let y = ring.next;
-                if level == 0 {
-                    for y in y..y + count {
-                        let at = y % ring.kept * ring.stride;
-                        source.row(y, ring.columns.clone(), &mut ring.data[at..]);
-                    }
-                } else {
+                if let Some(kernel) = self.kernel(level) {
                     let below = &before[level - 1];
-                    let kernel = &self.kernels[level - 1];
-                    let r = kernel.radius();
-                    if !(below.is_complete() || y + count + r <= below.next) {
+                    if !(below.is_complete() || y + count + kernel.radius() <= below.next) {
                         continue;
                     }
-                    starts.clear();
-                    for i in 0..2 * r + 2 {
-                        let of_second = count == 1 && i == 2 * r + 1;
-                        let i = if of_second { i - 1 } else { i };
-                        starts.push(below.start(mirrored((y + i) as isize - r as isize, h)));
-                    }
+                    below.starts(y, count, kernel.radius(), h, starts);
                     let at = [y, y + count - 1].map(|y| y % ring.kept * ring.stride);
                     blur_pair(s, kernel, below, starts, padded, (origin, w), ring, at, count);
+                } else {
+                    for y in y..y + count {
+                        let at = y % ring.kept * ring.stride + (ring.columns.start - origin);
+                        self.sources[level].row(s, y, ring.columns.clone(), &mut ring.data[at..]);
+                    }
                 }
                 ring.next += count;
                 if self.kept.contains(&level) {
@@ -253,7 +292,7 @@ impl Chain {
                 }
             }
             while visited < rows.end
-                && (rings[last].is_complete() || visited + WINDOW < rings[last].next)
+                && rings.iter().all(|r| r.is_complete() || visited + WINDOW < r.next)
             {
                 let levels = Levels {
                     rings,
@@ -276,25 +315,24 @@ impl Chain {
         rings: &mut Vec<Ring>,
         padded: &mut [Vec<f32>; 2],
     ) -> usize {
-        rings.resize_with(self.kernels.len() + 1, Ring::default);
+        rings.resize_with(self.sources.len() + self.kernels.len(), Ring::default);
         let mut rows = rows.start.saturating_sub(WINDOW)..(rows.end + WINDOW).min(h);
         let mut columns =
             columns.start.saturating_sub(WINDOW_COLUMNS)..(columns.end + WINDOW_COLUMNS).min(w);
         let mut kept = 2 * WINDOW + 4;
         for level in (0..rings.len()).rev() {
+            if level + 1 == self.sources.len() {
+                // The doubled image is made in pairs of columns.
+                columns.start -= columns.start % 2;
+            }
             let ring = &mut rings[level];
-            // Whole blocks of the level above are computed from what follows its last column, whatever that is.
             (ring.rows, ring.columns) = (rows.clone(), columns.clone());
             (ring.kept, ring.next) = (kept, rows.start);
-            if let Some(below) = level.checked_sub(1) {
-                let r = self.kernels[below].radius();
+            if let Some(kernel) = self.kernel(level) {
+                let r = kernel.radius();
                 kept = (kept + r + 4).max(2 * r + 8);
                 rows = rows.start.saturating_sub(r)..(rows.end + r).min(h);
                 columns = columns.start.saturating_sub(r)..(columns.end + r).min(w);
-                if below == 0 {
-                    // The doubled image is made in pairs of columns.
-                    columns.start -= columns.start % 2;
-                }
             }
         }
         let origin = rings[0].columns.start;

@@ -199,7 +199,7 @@ fn every_option_set_within_range_works() {
         f.check().unwrap();
         for k in &f.keypoints {
             assert!(
-                (1..=options.intervals as u32).contains(&k.layer)
+                (0..options.intervals as u32).contains(&k.layer)
                     && k.octave >= options.first_octave
             );
             assert!(k.angle > -std::f32::consts::PI && k.angle <= std::f32::consts::PI);
