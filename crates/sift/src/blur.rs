@@ -8,28 +8,75 @@ use fearless_simd::{Simd, f32x16, prelude::*};
 /// Columns per step of a pass: rows are computed in whole blocks, so buffers have this much room at their end.
 pub(crate) const BLOCK: usize = 32;
 
-/// A symmetric kernel with sum 1.
+/// A Gaussian of integer pixels, cut at 4 sigma (what is cut away is 6e-5 of the whole), with sum 1: the weight at distance i.
+fn gaussian(sigma: f64) -> impl Fn(isize) -> f64 {
+    let radius = radius(sigma) as isize;
+    let weight = move |i: isize| (-0.5 * (i as f64 / sigma).powi(2)).exp();
+    let sum: f64 = (-radius..=radius).map(weight).sum();
+    move |i| if i.abs() <= radius { weight(i) / sum } else { 0.0 }
+}
+
+fn radius(sigma: f64) -> usize {
+    (4.0 * sigma).ceil().max(1.0) as usize
+}
+
+/// A Gaussian blur.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Kernel {
-    /// `weights[radius + i]` is the weight at distance i.
-    weights: Vec<f32>,
+    /// Weights of the rows `-radius..=radius + 1` for the row itself and for the one after it.
+    pub(crate) rows: Vec<[f32; 2]>,
+    /// Weights at the distances `0..=radius`.
+    half: Vec<f32>,
 }
 
 impl Kernel {
-    /// Gaussian, cut at 4 sigma (what is cut away is 6e-5 of the whole).
     pub(crate) fn gaussian(sigma: f64) -> Self {
-        let radius = (4.0 * sigma).ceil().max(1.0) as isize;
-        let weights: Vec<f64> = (-radius..=radius)
-            .map(|i| (-0.5 * (i as f64 / sigma).powi(2)).exp())
-            .collect();
-        let sum: f64 = weights.iter().sum();
+        let (weight, r) = (gaussian(sigma), radius(sigma) as isize);
         Self {
-            weights: weights.into_iter().map(|v| (v / sum) as f32).collect(),
+            rows: (-r..=r + 1)
+                .map(|i| [weight(i) as f32, weight(i - 1) as f32])
+                .collect(),
+            half: (0..=r).map(|i| weight(i) as f32).collect(),
         }
     }
 
     pub(crate) fn radius(&self) -> usize {
-        self.weights.len() / 2
+        self.half.len() - 1
+    }
+}
+
+/// A Gaussian blur of the doubled image, taken from the image itself.
+///
+/// Doubling interpolates linearly, so pixel i of the image reaches the doubled pixels `2 i - 1` to `2 i + 1` with weights 1/2, 1,
+/// 1/2. What a doubled pixel receives from pixel i through interpolation and blur together is one number that depends on their
+/// distance, and on whether the doubled pixel is even or odd: half as many columns and rows to add up, and no doubled image.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Doubling {
+    /// Weights of the image rows `-radius..=radius` around j for the doubled rows 2 j and 2 j + 1.
+    pub(crate) rows: Vec<[f32; 2]>,
+    /// Weights of the image columns j + i, i in `0..=radius`: for column 2 j (the same at j - i), and for column 2 j + 1 (the same
+    /// at j + 1 - i; nothing for i = 0).
+    half: Vec<[f32; 2]>,
+}
+
+impl Doubling {
+    /// `sigma` in pixels of the doubled image.
+    pub(crate) fn gaussian(sigma: f64) -> Self {
+        let weight = gaussian(sigma);
+        let reach = move |i: isize, phase: isize| {
+            let d = 2 * i - phase;
+            weight(d) + 0.5 * (weight(d - 1) + weight(d + 1))
+        };
+        let r = (radius(sigma) as isize + 2) / 2;
+        let both = |i: isize| [reach(i, 0) as f32, reach(i, 1) as f32];
+        Self {
+            rows: (-r..=r).map(both).collect(),
+            half: (0..=r).map(both).collect(),
+        }
+    }
+
+    pub(crate) fn radius(&self) -> usize {
+        self.half.len() - 1
     }
 }
 
@@ -43,83 +90,128 @@ pub(crate) fn mirrored(i: isize, n: usize) -> usize {
     i.min(period - i) as usize
 }
 
-/// [`BLOCK`] values from `at` on.
-#[inline(always)]
-fn block<S: Simd>(s: S, data: &[f32], at: usize) -> [f32x16<S>; 2] {
-    let block = &data[at..][..BLOCK];
-    [
-        f32x16::from_slice(s, &block[..16]),
-        f32x16::from_slice(s, &block[16..]),
-    ]
-}
-
-#[inline(always)]
-fn store<S: Simd>(values: [f32x16<S>; 2], out: &mut [f32], at: usize) {
-    let out = &mut out[at..][..BLOCK];
-    values[0].store_slice(&mut out[..16]);
-    values[1].store_slice(&mut out[16..]);
-}
-
-/// Two rows blurred down the columns, `width` columns rounded up to whole blocks.
+/// N values from `at` on.
 ///
-/// `starts[i]` is where in `data` the row at distance `i - radius` from the first one begins; there are `2 radius + 2` of them,
-/// the last one only used by the second row. Each row that is loaded serves both sums.
+/// # Safety
+/// `at + N <= data.len()`.
 #[inline(always)]
+#[expect(unsafe_code, reason = "a bounds check for each of few multiply-adds costs a fifth of a blur")]
+unsafe fn cut<const N: usize>(data: &[f32], at: usize) -> &[f32] {
+    if cfg!(debug_assertions) {
+        return &data[at..at + N];
+    }
+    // SAFETY: the caller's promise.
+    unsafe { data.get_unchecked(at..at + N) }
+}
+
+/// Two rows of sums down the columns, `width` columns rounded up to whole blocks: `first` with the first weight of each row,
+/// `second` with the second.
+///
+/// `starts[i]` is where in `data` the row for `weights[i]` begins. Each row that is loaded serves both sums.
+#[inline(always)]
+#[expect(unsafe_code, reason = "see `cut`")]
 pub(crate) fn down<S: Simd>(
     s: S,
-    kernel: &Kernel,
+    weights: &[[f32; 2]],
     data: &[f32],
     starts: &[usize],
     width: usize,
     first: &mut [f32],
     second: &mut [f32],
 ) {
-    let weights = &kernel.weights[..];
-    let taps = weights.len();
-    let starts = &starts[..=taps];
-    for x in (0..width).step_by(BLOCK) {
-        let v = block(s, data, starts[0] + x);
-        let weight = f32x16::splat(s, weights[0]);
-        let mut a = [v[0] * weight, v[1] * weight];
-        let mut b = [f32x16::splat(s, 0.0); 2];
-        for i in 1..taps {
-            let v = block(s, data, starts[i] + x);
-            let (wa, wb) = (
-                f32x16::splat(s, weights[i]),
-                f32x16::splat(s, weights[i - 1]),
-            );
+    let width = width.next_multiple_of(BLOCK);
+    assert!(starts.iter().all(|start| start + width <= data.len()));
+    let (first, second) = (&mut first[..width], &mut second[..width]);
+    for (block, (first, second)) in first
+        .chunks_exact_mut(BLOCK)
+        .zip(second.chunks_exact_mut(BLOCK))
+        .enumerate()
+    {
+        let x = block * BLOCK;
+        let mut a = [f32x16::splat(s, 0.0); 2];
+        let mut b = a;
+        for (&[wa, wb], start) in weights.iter().zip(starts) {
+            // SAFETY: each start is at least `width` before the end, and `x + BLOCK` at most `width`.
+            let row = unsafe { cut::<BLOCK>(data, start + x) };
+            let (wa, wb) = (f32x16::splat(s, wa), f32x16::splat(s, wb));
             for k in 0..2 {
-                a[k] = v[k].mul_add(wa, a[k]);
-                b[k] = v[k].mul_add(wb, b[k]);
+                let v = f32x16::from_slice(s, &row[16 * k..16 * k + 16]);
+                a[k] = v.mul_add(wa, a[k]);
+                b[k] = v.mul_add(wb, b[k]);
             }
         }
-        let v = block(s, data, starts[taps] + x);
-        let last = f32x16::splat(s, weights[taps - 1]);
         for k in 0..2 {
-            b[k] = v[k].mul_add(last, b[k]);
+            a[k].store_slice(&mut first[16 * k..16 * k + 16]);
+            b[k].store_slice(&mut second[16 * k..16 * k + 16]);
         }
-        store(a, first, x);
-        store(b, second, x);
     }
 }
 
 /// A row blurred along itself: `out[x]` from `padded[x..=x + 2 radius]`, `width` columns rounded up to whole blocks.
 #[inline(always)]
+#[expect(unsafe_code, reason = "see `cut`")]
 pub(crate) fn along<S: Simd>(s: S, kernel: &Kernel, padded: &[f32], width: usize, out: &mut [f32]) {
-    let r = kernel.radius();
-    let half = &kernel.weights[r..];
-    for x in (0..width).step_by(BLOCK) {
-        let centre = block(s, padded, x + r);
-        let weight = f32x16::splat(s, half[0]);
-        let mut sum = [centre[0] * weight, centre[1] * weight];
-        for i in 1..=r {
-            let (left, right) = (block(s, padded, x + r - i), block(s, padded, x + r + i));
-            let w = f32x16::splat(s, half[i]);
+    let (r, width) = (kernel.radius(), width.next_multiple_of(BLOCK));
+    assert!(padded.len() >= width + 2 * r);
+    for (block, out) in out[..width].chunks_exact_mut(BLOCK).enumerate() {
+        let centre = block * BLOCK + r;
+        let mut sum = [f32x16::splat(s, 0.0); 2];
+        let weight = f32x16::splat(s, kernel.half[0]);
+        for k in 0..2 {
+            // SAFETY: `centre + BLOCK` is at most `width + r`.
+            let v = f32x16::from_slice(s, unsafe { cut::<16>(padded, centre + 16 * k) });
+            sum[k] = v * weight;
+        }
+        for (i, &weight) in kernel.half.iter().enumerate().skip(1) {
+            let weight = f32x16::splat(s, weight);
             for k in 0..2 {
-                sum[k] = (left[k] + right[k]).mul_add(w, sum[k]);
+                // SAFETY: i is at most r, so this lies within `width + 2 r` values.
+                let (left, right) = unsafe {
+                    (
+                        cut::<16>(padded, centre - i + 16 * k),
+                        cut::<16>(padded, centre + i + 16 * k),
+                    )
+                };
+                let both = f32x16::from_slice(s, left) + f32x16::from_slice(s, right);
+                sum[k] = both.mul_add(weight, sum[k]);
             }
         }
-        store(sum, out, x);
+        for k in 0..2 {
+            sum[k].store_slice(&mut out[16 * k..16 * k + 16]);
+        }
+    }
+}
+
+/// A row doubled and blurred along itself: `out[2 x]` and `out[2 x + 1]` from `padded[x..=x + 2 radius]`, `width` columns of
+/// `out` rounded up to whole blocks.
+#[inline(always)]
+#[expect(unsafe_code, reason = "see `cut`")]
+pub(crate) fn along_doubled<S: Simd>(
+    s: S,
+    kernel: &Doubling,
+    padded: &[f32],
+    width: usize,
+    out: &mut [f32],
+) {
+    let (r, width) = (kernel.radius(), width.next_multiple_of(BLOCK));
+    assert!(padded.len() >= width / 2 + 2 * r);
+    for (block, out) in out[..width].chunks_exact_mut(BLOCK).enumerate() {
+        let centre = block * (BLOCK / 2) + r;
+        // SAFETY: `centre + 16` is at most `width / 2 + r`.
+        let mut right = f32x16::from_slice(s, unsafe { cut::<16>(padded, centre) });
+        let mut even = right * kernel.half[0][0];
+        let mut odd = f32x16::splat(s, 0.0);
+        let mut left = right;
+        for (i, &[weight_even, weight_odd]) in kernel.half.iter().enumerate().skip(1) {
+            // SAFETY: i is at most r, so these lie within `width / 2 + 2 r` values.
+            right = f32x16::from_slice(s, unsafe { cut::<16>(padded, centre + i) });
+            odd = (left + right).mul_add(f32x16::splat(s, weight_odd), odd);
+            left = f32x16::from_slice(s, unsafe { cut::<16>(padded, centre - i) });
+            even = (left + right).mul_add(f32x16::splat(s, weight_even), even);
+        }
+        let (low, high) = even.interleave(odd);
+        low.store_slice(&mut out[..16]);
+        high.store_slice(&mut out[16..]);
     }
 }
 
@@ -135,12 +227,18 @@ mod tests {
     }
 
     #[test]
-    fn a_kernel_is_symmetric_with_sum_1() {
+    fn kernels_have_sum_1_in_every_phase() {
         for sigma in [0.2, 1.2, 3.1, 20.0] {
-            let k = Kernel::gaussian(sigma);
-            assert_eq!(k.weights.len(), 2 * k.radius() + 1);
-            assert!((k.weights.iter().sum::<f32>() - 1.0).abs() < 1e-6);
-            assert!(k.weights.iter().eq(k.weights.iter().rev()));
+            let kernel = Kernel::gaussian(sigma);
+            let doubling = Doubling::gaussian(sigma);
+            for rows in [&kernel.rows, &doubling.rows] {
+                for phase in 0..2 {
+                    let sum: f32 = rows.iter().map(|w| w[phase]).sum();
+                    assert!((sum - 1.0).abs() < 1e-6, "{sigma} {phase} {sum}");
+                }
+            }
+            assert_eq!(kernel.rows.len(), 2 * kernel.radius() + 2);
+            assert_eq!(doubling.rows.len(), 2 * doubling.radius() + 1);
         }
     }
 }

@@ -2,12 +2,12 @@
 
 use rayon::prelude::*;
 
-use crate::blur::Kernel;
+use crate::blur::{Doubling, Kernel};
 use crate::contrast::Contrast;
 use crate::describe::{Descriptor, Weights, describe};
 use crate::detect::{Extremum, Scan, Scanner};
 use crate::orient::{Orientations, orientations};
-use crate::scale_space::{Chain, Plane, Scratch, Source};
+use crate::scale_space::{Chain, Make, Plane, Scratch, Source};
 use crate::simd::at_level;
 use crate::{Features, GrayImage, Keypoint, Options, SiftError, Simd};
 
@@ -146,34 +146,27 @@ impl Sift {
         };
         let sigma = f64::from(options.sigma);
         let sigma_at = |s: usize| sigma * (s as f64 / options.intervals as f64).exp2();
-        let step = |from: f64, to: f64| Kernel::gaussian((to * to - from * from).sqrt());
-        let steps: Vec<Kernel> = (1..options.intervals + 2)
-            .map(|s| step(sigma_at(s - 1), sigma_at(s)))
-            .collect();
+        let between = |from: f64, to: f64| (to * to - from * from).sqrt();
         let blur = f64::from(options.assumed_blur);
         let first = options.first_octave;
-        // Blurs the first source to sigma.
-        let mut base = vec![step(if first < 0 { 2.0 * blur } else { blur }, sigma)];
-        let big_enough = |source: &Source<'_>| {
-            let (w, h) = source.size();
-            w.min(h) >= MIN_OCTAVE_SIZE
-        };
+        let big_enough = |(w, h): (usize, usize)| w.min(h) >= MIN_OCTAVE_SIZE;
 
         // Octaves that are not searched are only passed through.
         work.reduced.resize_with(first.max(0) as usize, Plane::default);
         for octave in 0..work.reduced.len() {
             let (before, from) = work.reduced.split_at_mut(octave);
             let source = before.last().map_or(Source::Image(image), Source::Halved);
-            if !big_enough(&source) {
+            if !big_enough(source.size()) {
                 return Vec::new();
             }
-            let mut kernels = std::mem::take(&mut base);
-            kernels.push(step(sigma, 2.0 * sigma));
-            let kept = kernels.len()..kernels.len() + 1;
+            let blurred = if octave == 0 { blur } else { sigma };
             let chain = Chain {
-                sources: vec![source],
-                kernels,
-                kept,
+                size: source.size(),
+                levels: vec![
+                    Make::Taken(source),
+                    Make::Blurred(Kernel::gaussian(between(blurred, 2.0 * sigma))),
+                ],
+                kept: 1..2,
             };
             run(*simd, &chain, &mut from[..1], &mut work.scratch, None);
         }
@@ -181,24 +174,47 @@ impl Sift {
         let mut found = Vec::new();
         for octave in 0.. {
             if work.octaves.len() == octave {
-                work.octaves.push(vec![Plane::default(); options.intervals + 1]);
+                work.octaves
+                    .push(vec![Plane::default(); options.intervals + 1]);
             }
             let (before, from) = work.octaves.split_at_mut(octave);
-            let sources = match (before.last(), work.reduced.last()) {
-                (Some(finer), _) => (finer[options.intervals - 1..].iter())
-                    .map(Source::Halved)
-                    .collect(),
-                (None, Some(plane)) => vec![Source::Halved(plane)],
-                (None, None) if first < 0 => vec![Source::Doubled(image)],
-                (None, None) => vec![Source::Image(image)],
+            let steps = (1..options.intervals + 2)
+                .map(|s| Make::Blurred(Kernel::gaussian(between(sigma_at(s - 1), sigma_at(s)))));
+            // With the level that is Gaussian layer 0.
+            let (levels, base): (Vec<Make<'_>>, usize) = match (before.last(), work.reduced.last()) {
+                (Some(finer), _) => {
+                    let taken = (finer[options.intervals - 1..].iter())
+                        .map(|plane| Make::Taken(Source::Halved(plane)));
+                    (taken.chain(steps).collect(), 1)
+                }
+                (None, Some(plane)) => {
+                    let taken = std::iter::once(Make::Taken(Source::Halved(plane)));
+                    (taken.chain(steps).collect(), 0)
+                }
+                (None, None) if first == 0 => {
+                    let blurred = Make::Blurred(Kernel::gaussian(between(blur, sigma)));
+                    let taken = [Make::Taken(Source::Image(image)), blurred].into_iter();
+                    (taken.chain(steps).collect(), 1)
+                }
+                (None, None) => {
+                    let doubled = (0..options.intervals + 2).map(|s| {
+                        Make::Doubled(Doubling::gaussian(between(2.0 * blur, sigma_at(s))))
+                    });
+                    let taken = std::iter::once(Make::Taken(Source::Image(image)));
+                    (taken.chain(doubled).collect(), 1)
+                }
             };
-            if !big_enough(&sources[0]) {
+            let size = match (&levels[0], &levels[1]) {
+                (Make::Taken(source), Make::Doubled(_)) => {
+                    let (w, h) = source.size();
+                    (2 * w - 1, 2 * h - 1)
+                }
+                (Make::Taken(source), _) => source.size(),
+                _ => unreachable!("the first level of a chain is taken from a source"),
+            };
+            if !big_enough(size) {
                 break;
             }
-            let mut kernels = std::mem::take(&mut base);
-            // Level of the chain that is layer 0; the one before it is layer -1, if there is one.
-            let base = sources.len() - 1 + kernels.len();
-            kernels.extend(steps.iter().cloned());
             let layers = usize::from(octave == 0)..options.intervals;
             let stored = layers.start.min(options.intervals - 1);
             let index = first + octave as i32;
@@ -213,8 +229,8 @@ impl Sift {
                 layers,
             };
             let chain = Chain {
-                sources,
-                kernels,
+                levels,
+                size,
                 kept: base + stored..base + options.intervals + 1,
             };
             let planes = &mut from[0][stored..];
@@ -255,7 +271,7 @@ fn run(
     scratch: &mut Vec<Scratch>,
     scan: Option<&Scan<'_>>,
 ) -> Vec<Extremum> {
-    let (w, h) = chain.size();
+    let (w, h) = chain.size;
     planes.iter_mut().for_each(|p| p.resize(w, h));
     let bands = rayon::current_num_threads().min(h / LEAST_ROWS).max(1);
     let band = h.div_ceil(bands);

@@ -14,7 +14,7 @@ use std::ops::Range;
 use fearless_simd::{Simd, f32x8, prelude::*};
 
 use crate::GrayImage;
-use crate::blur::{BLOCK, Kernel, along, down, mirrored};
+use crate::blur::{BLOCK, Doubling, Kernel, along, along_doubled, down, mirrored};
 
 /// Columns of a tile, without its overlap.
 const TILE_WIDTH: usize = 640;
@@ -46,13 +46,11 @@ impl Plane {
     }
 }
 
-/// Where the rows of level 0 come from.
+/// Rows that a level takes as they are.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Source<'a> {
     /// The image itself.
     Image(&'a GrayImage),
-    /// The image at twice its sampling, linearly interpolated.
-    Doubled(&'a GrayImage),
     /// Every second pixel of every second row, starting with the first.
     Halved(&'a Plane),
 }
@@ -62,7 +60,6 @@ impl Source<'_> {
     pub(crate) fn size(&self) -> (usize, usize) {
         match self {
             Self::Image(i) => (i.width(), i.height()),
-            Self::Doubled(i) => (2 * i.width() - 1, 2 * i.height() - 1),
             Self::Halved(p) => (p.width.div_ceil(2), p.height.div_ceil(2)),
         }
     }
@@ -76,38 +73,21 @@ impl Source<'_> {
                 out.copy_from_slice(&image.data()[y * image.width()..][columns]);
             }
             Self::Halved(plane) => {
-                let even = plane.row(2 * y)[2 * columns.start..].iter().step_by(2);
-                out.iter_mut().zip(even).for_each(|(o, v)| *o = *v);
-            }
-            Self::Doubled(image) => {
-                let w = image.width();
-                let row = |y: usize| &image.data()[y * w..][..w];
-                let (above, below) = (row(y / 2), row(y.div_ceil(2)));
-                debug_assert!(columns.start.is_multiple_of(2), "tiles begin at even columns");
-                let (above, below) = (&above[columns.start / 2..], &below[columns.start / 2..]);
-                let mut done = 0;
-                while done + 16 <= out.len() && done / 2 + 9 <= above.len() {
-                    let i = done / 2;
-                    let here = double::<S>(s, &above[i..i + 8], &below[i..i + 8]);
-                    let next = double::<S>(s, &above[i + 1..i + 9], &below[i + 1..i + 9]);
-                    let (low, high) = here.interleave((here + next) * 0.5);
-                    low.store_slice(&mut out[done..done + 8]);
-                    high.store_slice(&mut out[done + 8..done + 16]);
-                    done += 16;
+                let row = &plane.row(2 * y)[2 * columns.start..];
+                let whole = (row.len() / 16).min(out.len() / 8);
+                let runs = out.chunks_exact_mut(8).zip(row.chunks_exact(16));
+                for (out, row) in runs.take(whole) {
+                    let (low, high) = (
+                        f32x8::from_slice(s, &row[..8]),
+                        f32x8::from_slice(s, &row[8..]),
+                    );
+                    low.deinterleave(high).0.store_slice(out);
                 }
-                for (i, out) in out.iter_mut().enumerate().skip(done) {
-                    let at = |x: usize| 0.5 * (above[x] + below[x]);
-                    *out = if i % 2 == 0 { at(i / 2) } else { 0.5 * (at(i / 2) + at(i / 2 + 1)) };
-                }
+                let even = row.iter().step_by(2);
+                (out.iter_mut().zip(even).skip(8 * whole)).for_each(|(o, v)| *o = *v);
             }
         }
     }
-}
-
-/// Means of two rows.
-#[inline(always)]
-fn double<S: Simd>(s: S, above: &[f32], below: &[f32]) -> f32x8<S> {
-    (f32x8::from_slice(s, above) + f32x8::from_slice(s, below)) * 0.5
 }
 
 /// The last rows of one level within a tile.
@@ -119,6 +99,8 @@ struct Ring {
     kept: usize,
     /// Columns of the level that this tile computes.
     columns: Range<usize>,
+    /// Column at which the rows begin.
+    origin: usize,
     /// Rows of the level that this tile computes.
     rows: Range<usize>,
     /// The next row to compute.
@@ -138,27 +120,35 @@ impl Ring {
         y % self.kept * self.stride
     }
 
-    /// Begins of the rows from `y - radius` to `y + count - 1 + radius`, mirrored at the ends of `height` rows; as many as two
-    /// rows need, the last one repeated when `count` is 1.
-    fn starts(&self, y: usize, count: usize, radius: usize, height: usize, out: &mut Vec<usize>) {
+    /// Where the rows `begin..begin + count` of a level with `height` rows are from column `column` on, mirrored at its ends.
+    /// Rows of the level that come after the last computed one are not needed: the last one stands for them.
+    fn starts(
+        &self,
+        begin: isize,
+        count: usize,
+        height: usize,
+        column: usize,
+        out: &mut Vec<usize>,
+    ) {
         out.clear();
-        let rows = 2 * radius + count;
-        if y >= radius && y + count + radius <= height {
-            let mut slot = (y - radius) % self.kept;
-            debug_assert_eq!(self.start(y - radius), slot * self.stride);
-            debug_assert!(y + count + radius <= self.next);
-            for _ in 0..rows {
-                out.push(slot * self.stride);
+        let offset = column - self.origin;
+        let end = begin + count as isize;
+        if begin >= 0 && end as usize <= self.next {
+            let mut slot = begin as usize % self.kept;
+            debug_assert!(begin as usize + self.kept >= self.next);
+            for _ in 0..count {
+                out.push(slot * self.stride + offset);
                 slot += 1;
                 if slot == self.kept {
                     slot = 0;
                 }
             }
         } else {
-            let begin = y as isize - radius as isize;
-            out.extend((0..rows as isize).map(|i| self.start(mirrored(begin + i, height))));
+            out.extend((begin..end).map(|y| {
+                let y = mirrored(y, height).min(self.next - 1);
+                self.start(y) + offset
+            }));
         }
-        out.resize(2 * radius + 2, out[rows - 1]);
     }
 
     fn is_complete(&self) -> bool {
@@ -179,7 +169,7 @@ pub(crate) struct Scratch {
 /// The levels of a tile around the visited row.
 pub(crate) struct Levels<'a> {
     rings: &'a [Ring],
-    /// Column of the octave at which the rows begin.
+    /// Column of the octave at which the rows of all levels begin that are not of another size.
     pub(crate) origin: usize,
     /// Size of the octave: columns and rows.
     pub(crate) size: (usize, usize),
@@ -197,13 +187,24 @@ impl Levels<'_> {
     }
 }
 
-/// The levels of one octave: first the sources as they are, then the last source after `kernels[0]`, that after `kernels[1]`,
-/// and so on.
+/// How the rows of a level are made.
+#[derive(Debug)]
+pub(crate) enum Make<'a> {
+    /// Taken as they are.
+    Taken(Source<'a>),
+    /// The level before, blurred.
+    Blurred(Kernel),
+    /// Level 0, doubled and blurred.
+    Doubled(Doubling),
+}
+
+/// The levels of one octave.
 #[derive(Debug)]
 pub(crate) struct Chain<'a> {
-    /// At least one; all have the same size.
-    pub(crate) sources: Vec<Source<'a>>,
-    pub(crate) kernels: Vec<Kernel>,
+    /// The first is taken from a source. All have the size of the octave, but for a level 0 that is doubled by others.
+    pub(crate) levels: Vec<Make<'a>>,
+    /// Columns and rows of the octave.
+    pub(crate) size: (usize, usize),
     /// Levels that are copied to planes.
     pub(crate) kept: Range<usize>,
 }
@@ -215,14 +216,31 @@ impl Chain<'_> {
         (0..count).map(move |i| width * i / count..width * (i + 1) / count)
     }
 
-    /// Columns and rows of the octave.
-    pub(crate) fn size(&self) -> (usize, usize) {
-        self.sources[0].size()
+    /// The level that `level` is made of.
+    fn below(&self, level: usize) -> Option<usize> {
+        match self.levels[level] {
+            Make::Taken(_) => None,
+            Make::Blurred(_) => Some(level - 1),
+            Make::Doubled(_) => Some(0),
+        }
     }
 
-    /// The blur that makes `level` of the level below it; `None` for a source and beyond the last level.
-    fn kernel(&self, level: usize) -> Option<&Kernel> {
-        self.kernels.get(level.checked_sub(self.sources.len())?)
+    /// Whether the visitor sees this level.
+    fn is_visible(&self, level: usize) -> bool {
+        level > 0 || !matches!(self.levels.get(1), Some(Make::Doubled(_)))
+    }
+
+    /// The rows of the level below, not yet mirrored, that row `y` of `level` and the one after it are made of.
+    fn rows_below(&self, level: usize, y: usize) -> Range<isize> {
+        let around = |y: usize, r: usize| y as isize - r as isize..(y + r) as isize + 1;
+        match &self.levels[level] {
+            Make::Taken(_) => 0..0,
+            Make::Blurred(kernel) => {
+                let one = around(y, kernel.radius());
+                one.start..one.end + 1
+            }
+            Make::Doubled(kernel) => around(y / 2, kernel.radius()),
+        }
     }
 
     /// Computes the levels for the tile `rows` x `columns`.
@@ -239,65 +257,45 @@ impl Chain<'_> {
         planes: &mut [&mut [f32]],
         mut visit: impl FnMut(&Levels<'_>, &mut Vec<f32>, usize),
     ) {
-        let (w, h) = self.size();
         let Scratch {
             rings,
             padded,
             starts,
             rows: visitor_rows,
         } = scratch;
-        let origin = self.plan((w, h), &rows, &columns, rings, padded);
-        let levels = rings.len();
+        let origin = self.plan(&rows, &columns, rings, padded);
+        let (w, _) = self.size;
         let mut visited = rows.start;
         while visited < rows.end {
-            for level in 0..levels {
-                let (before, from) = rings.split_at_mut(level);
-                let (ring, after) = from.split_first_mut().expect("plan made a ring per level");
-                // A row may be overwritten when neither the next blur nor the visitor comes back to it.
-                let next = after.first().zip(self.kernel(level + 1));
-                let needed = match next {
-                    Some((next, kernel)) if !next.is_complete() => {
-                        next.next.saturating_sub(kernel.radius())
-                    }
-                    _ => usize::MAX,
-                };
-                let needed = needed.min(visited.saturating_sub(WINDOW));
-                let count = (ring.rows.end - ring.next).min(2);
-                if count == 0 || ring.next + count > needed + ring.kept {
+            for level in 0..rings.len() {
+                let ring = &rings[level];
+                let (y, count) = (ring.next, (ring.rows.end - ring.next).min(2));
+                if count == 0 || y + count > self.needed(level, rings, visited) + ring.kept {
                     continue;
                 }
-                let y = ring.next;
-                if let Some(kernel) = self.kernel(level) {
-                    let below = &before[level - 1];
-                    if !(below.is_complete() || y + count + kernel.radius() <= below.next) {
-                        continue;
-                    }
-                    below.starts(y, count, kernel.radius(), h, starts);
-                    let at = [y, y + count - 1].map(|y| y % ring.kept * ring.stride);
-                    blur_pair(s, kernel, below, starts, padded, (origin, w), ring, at, count);
-                } else {
-                    for y in y..y + count {
-                        let at = y % ring.kept * ring.stride + (ring.columns.start - origin);
-                        self.sources[level].row(s, y, ring.columns.clone(), &mut ring.data[at..]);
-                    }
+                if !self.make_rows(s, level, count, rings, padded, starts) {
+                    continue;
                 }
+                let ring = &mut rings[level];
                 ring.next += count;
                 if self.kept.contains(&level) {
                     let plane = &mut planes[level - self.kept.start];
                     for y in (y..y + count).filter(|y| rows.contains(y)) {
-                        let from = y % ring.kept * ring.stride + (columns.start - origin);
+                        let from = ring.start(y) + (columns.start - ring.origin);
                         plane[(y - rows.start) * w..][columns.clone()]
                             .copy_from_slice(&ring.data[from..from + columns.len()]);
                     }
                 }
             }
             while visited < rows.end
-                && rings.iter().all(|r| r.is_complete() || visited + WINDOW < r.next)
+                && rings.iter().enumerate().all(|(level, ring)| {
+                    !self.is_visible(level) || ring.is_complete() || visited + WINDOW < ring.next
+                })
             {
                 let levels = Levels {
                     rings,
                     origin,
-                    size: (w, h),
+                    size: self.size,
                     columns: columns.clone(),
                 };
                 visit(&levels, visitor_rows, visited);
@@ -306,91 +304,156 @@ impl Chain<'_> {
         }
     }
 
-    /// Gives each level its rows, columns and memory; returns the column at which all rows begin.
+    /// The first row of `level` to which another level or the visitor comes back: those before may be overwritten.
+    fn needed(&self, level: usize, rings: &[Ring], visited: usize) -> usize {
+        let mut needed = usize::MAX;
+        if self.is_visible(level) {
+            needed = visited.saturating_sub(WINDOW);
+        }
+        for (above, ring) in rings.iter().enumerate().skip(level + 1) {
+            if self.below(above) == Some(level) && !ring.is_complete() {
+                needed = needed.min(self.rows_below(above, ring.next).start.max(0) as usize);
+            }
+        }
+        needed.min(usize::MAX / 2)
+    }
+
+    /// Makes the next `count` rows of `level`; `false` when the level below is not there yet.
+    #[inline(always)]
+    fn make_rows<S: Simd>(
+        &self,
+        s: S,
+        level: usize,
+        count: usize,
+        rings: &mut [Ring],
+        padded: &mut [Vec<f32>; 2],
+        starts: &mut Vec<usize>,
+    ) -> bool {
+        let (before, from) = rings.split_at_mut(level);
+        let ring = &mut from[0];
+        let y = ring.next;
+        let at = [y, y + count - 1].map(|y| y % ring.kept * ring.stride);
+        let Some(below) = self.below(level).map(|below| &before[below]) else {
+            if let Make::Taken(source) = &self.levels[level] {
+                for y in y..y + count {
+                    let at = y % ring.kept * ring.stride + (ring.columns.start - ring.origin);
+                    source.row(s, y, ring.columns.clone(), &mut ring.data[at..]);
+                }
+            }
+            return true;
+        };
+        let (weights, r, scale) = match &self.levels[level] {
+            Make::Taken(_) => return true,
+            Make::Blurred(kernel) => (&kernel.rows, kernel.radius(), 1),
+            Make::Doubled(kernel) => (&kernel.rows, kernel.radius(), 2),
+        };
+        let rows = self.rows_below(level, y);
+        let last = rows.end - if scale == 1 && count == 1 { 1 } else { 0 };
+        if !(below.is_complete() || last as usize <= below.next) {
+            return false;
+        }
+        // Size of the level below; the columns of it that there are, and where they stand in the padded rows: `padded[i]` is
+        // column `start - r + i`.
+        let (w, h) = (self.size.0.div_ceil(scale), self.size.1.div_ceil(scale));
+        let (start, end) = (ring.columns.start / scale, ring.columns.end.div_ceil(scale));
+        let (from, to) = (start.saturating_sub(r), (end + r).min(w));
+        let place = r - (start - from);
+        below.starts(rows.start, weights.len(), h, from, starts);
+        let [first, second] = padded;
+        down(
+            s,
+            weights,
+            &below.data,
+            starts,
+            to - from,
+            &mut first[place..],
+            &mut second[place..],
+        );
+        for (padded, at) in [first, second].into_iter().zip(at).take(count) {
+            let pixel = |column: isize| mirrored(column, w) - from + place;
+            for i in 0..place {
+                padded[i] = padded[pixel(i as isize + start as isize - r as isize)];
+            }
+            for column in to..end + r {
+                padded[column - from + place] = padded[pixel(column as isize)];
+            }
+            let out = &mut ring.data[at + (ring.columns.start - ring.origin)..];
+            match &self.levels[level] {
+                Make::Taken(_) => {}
+                Make::Blurred(kernel) => along(s, kernel, padded, ring.columns.len(), out),
+                Make::Doubled(kernel) => along_doubled(s, kernel, padded, ring.columns.len(), out),
+            }
+        }
+        true
+    }
+
+    /// Gives each level its rows, columns and memory; returns the column at which the rows of the visible levels begin.
     fn plan(
         &self,
-        (w, h): (usize, usize),
         rows: &Range<usize>,
         columns: &Range<usize>,
         rings: &mut Vec<Ring>,
         padded: &mut [Vec<f32>; 2],
     ) -> usize {
-        rings.resize_with(self.sources.len() + self.kernels.len(), Ring::default);
-        let mut rows = rows.start.saturating_sub(WINDOW)..(rows.end + WINDOW).min(h);
-        let mut columns =
+        let (w, h) = self.size;
+        rings.resize_with(self.levels.len(), Ring::default);
+        let seen = rows.start.saturating_sub(WINDOW)..(rows.end + WINDOW).min(h);
+        let wide =
             columns.start.saturating_sub(WINDOW_COLUMNS)..(columns.end + WINDOW_COLUMNS).min(w);
-        let mut kept = 2 * WINDOW + 4;
-        for level in (0..rings.len()).rev() {
-            if level + 1 == self.sources.len() {
-                // The doubled image is made in pairs of columns.
-                columns.start -= columns.start % 2;
-            }
-            let ring = &mut rings[level];
-            (ring.rows, ring.columns) = (rows.clone(), columns.clone());
-            (ring.kept, ring.next) = (kept, rows.start);
-            if let Some(kernel) = self.kernel(level) {
-                let r = kernel.radius();
-                kept = (kept + r + 4).max(2 * r + 8);
-                rows = rows.start.saturating_sub(r)..(rows.end + r).min(h);
-                columns = columns.start.saturating_sub(r)..(columns.end + r).min(w);
-            }
-        }
-        let origin = rings[0].columns.start;
-        let stride = rings[0].columns.len().next_multiple_of(BLOCK) + 2 * BLOCK;
+        // Whole pairs of doubled rows and columns.
+        let even = |r: Range<usize>| r.start - r.start % 2..r.end;
+        let (seen, wide) = (even(seen), even(wide));
         for ring in rings.iter_mut() {
+            (ring.rows, ring.columns) = (seen.clone(), wide.clone());
+            ring.kept = 2 * WINDOW + 4;
+            ring.next = 0;
+        }
+        if !self.is_visible(0) {
+            let ring = &mut rings[0];
+            ring.rows = seen.start / 2..seen.start / 2 + 1;
+            ring.columns = wide.start / 2..wide.start / 2 + 1;
+        }
+        let mut widest = 0;
+        for level in (0..rings.len()).rev() {
+            let (r, scale) = match &self.levels[level] {
+                Make::Taken(_) => continue,
+                Make::Blurred(kernel) => (kernel.radius(), 1),
+                Make::Doubled(kernel) => (kernel.radius(), 2),
+            };
+            widest = widest.max(r);
+            let (w, h) = (w.div_ceil(scale), h.div_ceil(scale));
+            let grown = |r1: &Range<usize>, r2: &Range<usize>, n: usize| {
+                let start = (r1.start / scale).saturating_sub(r);
+                start.min(r2.start)..(r1.end.div_ceil(scale) + r).min(n).max(r2.end)
+            };
+            let (above, below) = (&rings[level], &rings[if scale == 2 { 0 } else { level - 1 }]);
+            let rows = grown(&above.rows, &below.rows, h);
+            let columns = grown(&above.columns, &below.columns, w);
+            let kept = (above.kept + r + 4).max(2 * r + 8);
+            let below = &mut rings[if scale == 2 { 0 } else { level - 1 }];
+            below.kept = below.kept.max(kept);
+            (below.rows, below.columns) = (rows, columns);
+        }
+        let origin = (0..rings.len())
+            .filter(|&level| self.is_visible(level))
+            .map(|level| rings[level].columns.start)
+            .min()
+            .unwrap_or(0);
+        let stride = (rings.iter().map(|r| r.columns.end - r.columns.start.min(origin)))
+            .max()
+            .unwrap_or(0)
+            .next_multiple_of(BLOCK)
+            + 2 * BLOCK;
+        for (level, ring) in rings.iter_mut().enumerate() {
+            ring.next = ring.rows.start;
+            ring.origin = if self.is_visible(level) { origin } else { ring.columns.start };
             ring.stride = stride;
             // Old values may remain: whatever is read as a pixel has been computed before.
             ring.data.resize(ring.kept * stride + BLOCK, 0.0);
         }
-        let widest = self.kernels.iter().map(Kernel::radius).max().unwrap_or(0);
         for row in padded {
             row.resize(stride + 2 * widest + 2 * BLOCK, 0.0);
         }
         origin
-    }
-}
-
-/// Rows `y` and `y + 1` of a level from the level below it, into the rows of `ring` that begin at `at`; only the first when
-/// `count` is 1.
-#[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "the inside of one loop")]
-fn blur_pair<S: Simd>(
-    s: S,
-    kernel: &Kernel,
-    below: &Ring,
-    starts: &mut [usize],
-    padded: &mut [Vec<f32>; 2],
-    (origin, w): (usize, usize),
-    ring: &mut Ring,
-    at: [usize; 2],
-    count: usize,
-) {
-    let r = kernel.radius();
-    let Range { start, end } = ring.columns;
-    // Columns of the level below that there are, and where they stand in the padded rows: `padded[i]` is column
-    // `start - r + i`.
-    let (from, to) = (start.saturating_sub(r), (end + r).min(w));
-    let place = r - (start - from);
-    starts.iter_mut().for_each(|s| *s += from - origin);
-    let [first, second] = padded;
-    down(
-        s,
-        kernel,
-        &below.data,
-        starts,
-        to - from,
-        &mut first[place..],
-        &mut second[place..],
-    );
-    for (padded, at) in [first, second].into_iter().zip(at).take(count) {
-        let pixel = |column: isize| mirrored(column, w) - from + place;
-        for i in 0..place {
-            padded[i] = padded[pixel(i as isize + start as isize - r as isize)];
-        }
-        for column in to..end + r {
-            padded[column - from + place] = padded[pixel(column as isize)];
-        }
-        let at = at + (start - origin);
-        along(s, kernel, padded, end - start, &mut ring.data[at..]);
     }
 }
