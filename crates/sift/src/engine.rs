@@ -155,7 +155,7 @@ impl Sift {
         work.reduced.resize_with(first.max(0) as usize, Plane::default);
         for octave in 0..work.reduced.len() {
             let (before, from) = work.reduced.split_at_mut(octave);
-            let source = before.last().map_or(Source::Image(image), Source::Halved);
+            let source = before.last().map_or(Source::Image(image), Source::Whole);
             if !big_enough(source.size()) {
                 return Vec::new();
             }
@@ -166,29 +166,32 @@ impl Sift {
                     Make::Taken(source),
                     Make::Blurred(Kernel::gaussian(between(blurred, 2.0 * sigma))),
                 ],
-                kept: 1..2,
+                kept: 0..0,
+                halved: Some(1),
             };
-            run(*simd, &chain, &mut from[..1], &mut work.scratch, None);
+            run(*simd, &chain, &mut [], Some(&mut from[0]), &mut work.scratch, None);
         }
 
         let mut found = Vec::new();
         for octave in 0.. {
-            if work.octaves.len() == octave {
-                work.octaves
-                    .push(vec![Plane::default(); options.intervals + 1]);
+            while work.octaves.len() < octave + 2 {
+                work.octaves.push(vec![Plane::default(); options.intervals]);
             }
-            let (before, from) = work.octaves.split_at_mut(octave);
+            let [before @ .., here, next] = &mut work.octaves[..octave + 2] else {
+                unreachable!("two octaves at least");
+            };
+            let (layer_0, layers_after) = here.split_at_mut(1);
             let steps = (1..options.intervals + 2)
                 .map(|s| Make::Blurred(Kernel::gaussian(between(sigma_at(s - 1), sigma_at(s)))));
             // With the level that is Gaussian layer 0.
             let (levels, base): (Vec<Make<'_>>, usize) = match (before.last(), work.reduced.last()) {
                 (Some(finer), _) => {
-                    let taken = (finer[options.intervals - 1..].iter())
-                        .map(|plane| Make::Taken(Source::Halved(plane)));
+                    let finest = Make::Taken(Source::Halved(&finer[options.intervals - 1]));
+                    let taken = [finest, Make::Taken(Source::Whole(&layer_0[0]))].into_iter();
                     (taken.chain(steps).collect(), 1)
                 }
                 (None, Some(plane)) => {
-                    let taken = std::iter::once(Make::Taken(Source::Halved(plane)));
+                    let taken = std::iter::once(Make::Taken(Source::Whole(plane)));
                     (taken.chain(steps).collect(), 0)
                 }
                 (None, None) if first == 0 => {
@@ -216,7 +219,6 @@ impl Sift {
                 break;
             }
             let layers = usize::from(octave == 0)..options.intervals;
-            let stored = layers.start.min(options.intervals - 1);
             let index = first + octave as i32;
             let thresholds: Vec<f32> = (0..options.intervals)
                 .map(|layer| contrast.threshold(options, index, layer))
@@ -231,10 +233,17 @@ impl Sift {
             let chain = Chain {
                 levels,
                 size,
-                kept: base + stored..base + options.intervals + 1,
+                kept: base + 1..base + options.intervals,
+                halved: Some(base + options.intervals),
             };
-            let planes = &mut from[0][stored..];
-            let mut new = run(*simd, &chain, planes, &mut work.scratch, Some(&scan));
+            let mut new = run(
+                *simd,
+                &chain,
+                layers_after,
+                Some(&mut next[0]),
+                &mut work.scratch,
+                Some(&scan),
+            );
             // Two samples may lead to the same extremum.
             new.sort_unstable_by_key(|e| (e.layer, e.sample.1, e.sample.0));
             new.dedup_by_key(|e| (e.layer, e.sample));
@@ -268,19 +277,25 @@ fn run(
     simd: Simd,
     chain: &Chain<'_>,
     planes: &mut [Plane],
+    halved: Option<&mut Plane>,
     scratch: &mut Vec<Scratch>,
     scan: Option<&Scan<'_>>,
 ) -> Vec<Extremum> {
     let (w, h) = chain.size;
     planes.iter_mut().for_each(|p| p.resize(w, h));
     let bands = rayon::current_num_threads().min(h / LEAST_ROWS).max(1);
-    let band = h.div_ceil(bands);
+    let band = h.div_ceil(bands).next_multiple_of(2);
     let mut parts: Vec<Vec<&mut [f32]>> = Vec::new();
     parts.resize_with(h.div_ceil(band), Vec::new);
     for plane in planes {
         for (part, rows) in parts.iter_mut().zip(plane.data.chunks_mut(band * w)) {
             part.push(rows);
         }
+    }
+    if let Some(plane) = halved {
+        plane.resize(w.div_ceil(2), h.div_ceil(2));
+        let rows = plane.data.chunks_mut(band / 2 * plane.width);
+        parts.iter_mut().zip(rows).for_each(|(part, rows)| part.push(rows));
     }
     if scratch.len() < parts.len() {
         scratch.resize_with(parts.len(), Scratch::default);

@@ -16,7 +16,7 @@ pub struct Options {
     pub contrast_threshold: f32,
     /// Greatest ratio of the two principal curvatures (section 4.1); above 1.
     pub edge_ratio: f32,
-    /// Scales per octave (section 3.1), 1 to 16.
+    /// Scales per octave (section 3.1), 2 to 16.
     pub intervals: usize,
     /// Gaussian sigma of the first scale of each octave, in pixels of that octave (section 3.2); at most 16.
     pub sigma: f32,
@@ -76,10 +76,10 @@ impl Options {
                 "finite and above 1",
             ),
             (
-                (1..=16).contains(&self.intervals),
+                (2..=16).contains(&self.intervals),
                 "intervals",
                 self.intervals as f64,
-                "1 to 16",
+                "2 to 16",
             ),
             (
                 self.assumed_blur.is_finite() && self.assumed_blur >= 0.0,
@@ -157,7 +157,7 @@ mod tests {
             ),
             (
                 Options {
-                    intervals: 0,
+                    intervals: 1,
                     ..d()
                 },
                 "intervals",

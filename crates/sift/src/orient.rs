@@ -59,6 +59,11 @@ pub(crate) fn orientations<S: Simd>(
 /// Copies of the histogram, so that neighbouring pixels, which point the same way, need not wait for each other.
 const COPIES: usize = 4;
 
+/// From 8 - n on: n ones, then zeros.
+const COUNTED: [f32; 16] = [
+    1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+];
+
 /// Room for the bins of a copy and the neighbour of the last one.
 const SLOTS: usize = 64;
 
@@ -74,6 +79,7 @@ fn histogram<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32) -> [f32; 
     let last = |p: f32, size: usize| ((p + radius).floor().min(size as f32 - 2.0)).max(0.0) as usize;
     let (left, right) = (first(x), last(x, plane.width));
     let (top, bottom) = (first(y), last(y, plane.height));
+    plane.touch(left - 1..right + 2, top - 1..bottom + 2);
     let lanes = f32x8::from_slice(s, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
     // Where the plane is smooth enough, every second pixel as on a chess board.
     let step = if sigma > SMOOTH { 2 } else { 1 };
@@ -104,13 +110,14 @@ fn histogram<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32) -> [f32; 
             };
             let dx = lanes + (start as f32 - x);
             let distance_sq = dx.mul_add(dx, f32x8::splat(s, dy * dy)).min(f32x8::splat(s, radius * radius));
-            let magnitude = (gx * gx + gy * gy).sqrt() * exp(s, distance_sq * falloff);
+            let counted = f32x8::from_slice(s, &COUNTED[8 - count..16 - count]);
+            let magnitude = (gx * gx + gy * gy).sqrt() * exp(s, distance_sq * falloff) * counted;
             let place = angle(s, gx, gy) * (BINS as f32 / TAU);
             let bin: i32x8<S> = place.to_int();
             let second = magnitude * (place - place.floor());
             let first = (magnitude - second).to_array();
             let (bin, second) = (bin.to_array(), second.to_array());
-            for i in 0..count {
+            for i in 0..8 {
                 let votes = &mut votes[i % COPIES];
                 let bin = bin[i] as usize % SLOTS;
                 votes[bin] += first[i];

@@ -44,6 +44,20 @@ impl Plane {
     pub(crate) fn row(&self, y: usize) -> &[f32] {
         &self.data[y * self.width..][..self.width]
     }
+
+    /// Brings a window into the first cache. These loads do not wait for each other, as those between arithmetic do.
+    #[inline(always)]
+    pub(crate) fn touch(&self, columns: Range<usize>, rows: Range<usize>) {
+        let mut sum = 0.0;
+        for y in rows.start..rows.end.min(self.height) {
+            let row = &self.row(y)[columns.start.min(self.width)..columns.end.min(self.width)];
+            for line in row.chunks(16) {
+                sum += line[0];
+            }
+            sum += row.last().unwrap_or(&0.0);
+        }
+        std::hint::black_box(sum);
+    }
 }
 
 /// Rows that a level takes as they are.
@@ -51,6 +65,8 @@ impl Plane {
 pub(crate) enum Source<'a> {
     /// The image itself.
     Image(&'a GrayImage),
+    /// A plane as it is.
+    Whole(&'a Plane),
     /// Every second pixel of every second row, starting with the first.
     Halved(&'a Plane),
 }
@@ -60,6 +76,7 @@ impl Source<'_> {
     pub(crate) fn size(&self) -> (usize, usize) {
         match self {
             Self::Image(i) => (i.width(), i.height()),
+            Self::Whole(p) => (p.width, p.height),
             Self::Halved(p) => (p.width.div_ceil(2), p.height.div_ceil(2)),
         }
     }
@@ -72,21 +89,23 @@ impl Source<'_> {
             Self::Image(image) => {
                 out.copy_from_slice(&image.data()[y * image.width()..][columns]);
             }
-            Self::Halved(plane) => {
-                let row = &plane.row(2 * y)[2 * columns.start..];
-                let whole = (row.len() / 16).min(out.len() / 8);
-                let runs = out.chunks_exact_mut(8).zip(row.chunks_exact(16));
-                for (out, row) in runs.take(whole) {
-                    let (low, high) = (
-                        f32x8::from_slice(s, &row[..8]),
-                        f32x8::from_slice(s, &row[8..]),
-                    );
-                    low.deinterleave(high).0.store_slice(out);
-                }
-                let even = row.iter().step_by(2);
-                (out.iter_mut().zip(even).skip(8 * whole)).for_each(|(o, v)| *o = *v);
-            }
+            Self::Whole(plane) => out.copy_from_slice(&plane.row(y)[columns]),
+            Self::Halved(plane) => copy_even(s, &plane.row(2 * y)[2 * columns.start..], out),
         }
+    }
+}
+
+/// The first, third, ... value of `row`, as many as `out` takes.
+#[inline(always)]
+fn copy_even<S: Simd>(s: S, row: &[f32], out: &mut [f32]) {
+    let whole = (row.len() / 16).min(out.len() / 8);
+    let (runs, rest) = out.split_at_mut(8 * whole);
+    for (out, row) in runs.chunks_exact_mut(8).zip(row.chunks_exact(16)) {
+        let (low, high) = (f32x8::from_slice(s, &row[..8]), f32x8::from_slice(s, &row[8..]));
+        low.deinterleave(high).0.store_slice(out);
+    }
+    for (out, value) in rest.iter_mut().zip(row[16 * whole..].iter().step_by(2)) {
+        *out = *value;
     }
 }
 
@@ -207,6 +226,8 @@ pub(crate) struct Chain<'a> {
     pub(crate) size: (usize, usize),
     /// Levels that are copied to planes.
     pub(crate) kept: Range<usize>,
+    /// The level of which every second pixel of every second row is copied to a plane.
+    pub(crate) halved: Option<usize>,
 }
 
 impl Chain<'_> {
@@ -245,7 +266,8 @@ impl Chain<'_> {
 
     /// Computes the levels for the tile `rows` x `columns`.
     ///
-    /// `planes[i]` takes the tile's rows of level `kept.start + i`: whole rows of the octave, beginning with `rows.start`.
+    /// `planes[i]` takes the tile's rows of level `kept.start + i`: whole rows of the octave, beginning with `rows.start`, which
+    /// is even. The plane after those takes the halved level.
     /// `visit` is called for each row of the tile in order, with all levels within [`WINDOW`] rows of it.
     #[inline(always)]
     pub(crate) fn sweep<S: Simd>(
@@ -284,6 +306,15 @@ impl Chain<'_> {
                         let from = ring.start(y) + (columns.start - ring.origin);
                         plane[(y - rows.start) * w..][columns.clone()]
                             .copy_from_slice(&ring.data[from..from + columns.len()]);
+                    }
+                }
+                if self.halved == Some(level) {
+                    let plane = &mut planes[self.kept.len()];
+                    let half = columns.start.div_ceil(2)..columns.end.div_ceil(2);
+                    for y in (y..y + count).filter(|y| rows.contains(y) && y % 2 == 0) {
+                        let from = ring.start(y) + (2 * half.start - ring.origin);
+                        let out = &mut plane[(y - rows.start) / 2 * w.div_ceil(2)..][half.clone()];
+                        copy_even(s, &ring.data[from..from + 2 * half.len()], out);
                     }
                 }
             }
