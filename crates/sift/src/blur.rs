@@ -13,7 +13,13 @@ fn gaussian(sigma: f64) -> impl Fn(isize) -> f64 {
     let radius = radius(sigma) as isize;
     let weight = move |i: isize| (-0.5 * (i as f64 / sigma).powi(2)).exp();
     let sum: f64 = (-radius..=radius).map(weight).sum();
-    move |i| if i.abs() <= radius { weight(i) / sum } else { 0.0 }
+    move |i| {
+        if i.abs() <= radius {
+            weight(i) / sum
+        } else {
+            0.0
+        }
+    }
 }
 
 fn radius(sigma: f64) -> usize {
@@ -95,7 +101,10 @@ pub(crate) fn mirrored(i: isize, n: usize) -> usize {
 /// # Safety
 /// `at + N <= data.len()`.
 #[inline(always)]
-#[expect(unsafe_code, reason = "a bounds check for each of few multiply-adds costs a fifth of a blur")]
+#[expect(
+    unsafe_code,
+    reason = "a bounds check for each of few multiply-adds costs a fifth of a blur"
+)]
 unsafe fn cut<const N: usize>(data: &[f32], at: usize) -> &[f32] {
     if cfg!(debug_assertions) {
         return &data[at..at + N];

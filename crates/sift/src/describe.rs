@@ -198,7 +198,9 @@ impl Patch {
                     let (cx, cy) = (px.max(least).min(most[0]), py.max(least).min(most[1]));
                     let within = px.simd_eq(cx) & py.simd_eq(cy);
                     let one = f32x8::splat(s, 1.0);
-                    within.select(one, least).store_slice(&mut inside[j][8 * k..8 * k + 8]);
+                    within
+                        .select(one, least)
+                        .store_slice(&mut inside[j][8 * k..8 * k + 8]);
                     (px, py) = (cx, cy);
                 }
                 let (mut x0, mut y0) = (px.floor(), py.floor());

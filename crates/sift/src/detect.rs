@@ -145,12 +145,25 @@ impl Scanner<'_> {
         self.next = y + 2;
         let differences = Differences { data: rows, stride };
         let begin = levels.columns.start.max(BORDER) - levels.origin;
-        let end = levels.columns.end.min(w - BORDER).max(begin + levels.origin) - levels.origin;
+        let end = levels
+            .columns
+            .end
+            .min(w - BORDER)
+            .max(begin + levels.origin)
+            - levels.origin;
         for (i, layer) in layers.enumerate() {
             // The refined value is larger than the sample's, so the samples get some leeway.
             let threshold = 0.8 * self.scan.thresholds[layer];
             self.hits.clear();
-            scan_row(s, &differences, i + 1, y, threshold, begin..end, &mut self.hits);
+            scan_row(
+                s,
+                &differences,
+                i + 1,
+                y,
+                threshold,
+                begin..end,
+                &mut self.hits,
+            );
             let around = Neighbourhood {
                 levels,
                 base: self.scan.base,
@@ -357,7 +370,10 @@ impl Neighbourhood<'_> {
         for k in 0..4 {
             let mut values = [f32x8::splat(s, 0.0); 3];
             for j in 0..8 {
-                let row = f32x8::from_slice(s, &self.gaussian(self.base + layer + k - 1, left, top + j)[..8]);
+                let row = f32x8::from_slice(
+                    s,
+                    &self.gaussian(self.base + layer + k - 1, left, top + j)[..8],
+                );
                 for (i, value) in values.iter_mut().enumerate() {
                     if (i..i + 6).contains(&j) {
                         *value = row.mul_add(f32x8::splat(s, wy[j - i]), *value);
@@ -472,6 +488,8 @@ fn refine<S: Simd>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Simd as Token;
+    use crate::simd::at_level;
 
     #[test]
     fn quadratic_finds_its_own_extremum() {
@@ -514,41 +532,60 @@ mod tests {
             let value: f64 = lagrange(t)
                 .iter()
                 .enumerate()
-                .map(|(i, w)| w * p(i as f64 - 2.0))
+                .map(|(i, w)| f64::from(*w) * p(i as f64 - 2.0))
                 .sum();
-            assert!((value - p(t)).abs() < 1e-12);
+            assert!((value - p(t)).abs() < 1e-5);
         }
     }
 
+    /// Random rows with many equal values, so that ties come up.
     #[test]
-    fn a_plateau_of_two_equal_samples_is_one_extremum() {
-        let size = 16;
-        let plane = |layer: usize| Plane {
-            width: size,
-            height: size,
-            data: (0..size * size)
-                .map(|i| {
-                    let (x, y) = ((i % size) as f32 - 7.5, (i / size) as f32 - 8.0);
-                    (-0.1 * (x * x + y * y)).exp() * [0.5, 1.0, 0.5][layer]
+    fn the_scan_finds_what_the_definition_does() {
+        let (stride, layers) = (96, 3);
+        let mut state = 1_u64;
+        let mut next = || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            ((state >> 60) as f32 - 7.5) / 8.0
+        };
+        let mut total = 0;
+        for round in 0..200 {
+            let mut data: Vec<f32> = (0..layers * 3 * stride).map(|_| 0.4 * next()).collect();
+            // Some that stand out.
+            for _ in 0..8 {
+                let x = 1 + (next().abs() * 80.0) as usize;
+                data[(3 + 1) * stride + x] = next().signum();
+            }
+            let rows = Differences {
+                data: &data,
+                stride,
+            };
+            let at = |layer: usize, y: usize, x: usize| data[(3 * layer + y) * stride + x];
+            let (begin, end) = (1 + round % 7, 60 + round % 19);
+            let expected: Vec<usize> = (begin..end)
+                .filter(|&x| {
+                    let v = at(1, 1, x);
+                    let beats = |layer: usize, y: usize, i: usize| {
+                        // The sample itself, earlier ones strictly, later ones not; the order is that of `is_extremum`.
+                        let n = at(layer, y, x + i - 1);
+                        let earlier = layer == 0 || (layer == 1 && (y == 0 || (y == 1 && i == 0)));
+                        match (layer, y, i) {
+                            (1, 1, 1) => true,
+                            _ if v > 0.0 => v > n || (!earlier && v == n),
+                            _ => v < n || (!earlier && v == n),
+                        }
+                    };
+                    v.abs() > 0.25 && (0..27).all(|k| beats(k / 9, k / 3 % 3, k % 3))
                 })
-                .collect(),
-        };
-        let octave = Octave {
-            index: 0,
-            gaussians: vec![],
-            differences: (0..3).map(plane).collect(),
-        };
-        let mut hits = vec![];
-        scan_row(&octave, 1, 8, 0.1, |x| hits.push(x));
-        assert_eq!(hits, [7]);
-        let options = Options {
-            intervals: 1,
-            ..Options::default()
-        };
-        let e = refine(&octave, 1, 7, 8, &[0.1, 0.1], &options).unwrap();
-        assert!(
-            (e.x - 7.5).abs() < 1e-4 && (e.y - 8.0).abs() < 1e-4,
-            "{e:?}"
-        );
+                .collect();
+            total += expected.len();
+            for simd in Token::available() {
+                let mut found = Vec::new();
+                at_level!(simd, s => scan_row(s, &rows, 1, 1, 0.25, begin..end, &mut found));
+                assert_eq!(found, expected, "{round}");
+            }
+        }
+        assert!(total > 100, "{total}");
     }
 }

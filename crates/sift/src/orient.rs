@@ -76,7 +76,8 @@ fn histogram<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32) -> [f32; 
     let falloff = -0.5 / (window * window);
     // Pixels with four neighbours in the plane, and in the square around the disc.
     let first = |p: f32| (p - radius).ceil().max(1.0) as usize;
-    let last = |p: f32, size: usize| ((p + radius).floor().min(size as f32 - 2.0)).max(0.0) as usize;
+    let last =
+        |p: f32, size: usize| ((p + radius).floor().min(size as f32 - 2.0)).max(0.0) as usize;
     let (left, right) = (first(x), last(x, plane.width));
     let (top, bottom) = (first(y), last(y, plane.height));
     plane.touch(left - 1..right + 2, top - 1..bottom + 2);
@@ -109,7 +110,9 @@ fn histogram<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32) -> [f32; 
                 (f32x8::from_slice(s, &gx), f32x8::from_slice(s, &gy))
             };
             let dx = lanes + (start as f32 - x);
-            let distance_sq = dx.mul_add(dx, f32x8::splat(s, dy * dy)).min(f32x8::splat(s, radius * radius));
+            let distance_sq = dx
+                .mul_add(dx, f32x8::splat(s, dy * dy))
+                .min(f32x8::splat(s, radius * radius));
             let counted = f32x8::from_slice(s, &COUNTED[8 - count..16 - count]);
             let magnitude = (gx * gx + gy * gy).sqrt() * exp(s, distance_sq * falloff) * counted;
             let place = angle(s, gx, gy) * (BINS as f32 / TAU);

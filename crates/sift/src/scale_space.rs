@@ -101,7 +101,10 @@ fn copy_even<S: Simd>(s: S, row: &[f32], out: &mut [f32]) {
     let whole = (row.len() / 16).min(out.len() / 8);
     let (runs, rest) = out.split_at_mut(8 * whole);
     for (out, row) in runs.chunks_exact_mut(8).zip(row.chunks_exact(16)) {
-        let (low, high) = (f32x8::from_slice(s, &row[..8]), f32x8::from_slice(s, &row[8..]));
+        let (low, high) = (
+            f32x8::from_slice(s, &row[..8]),
+            f32x8::from_slice(s, &row[8..]),
+        );
         low.deinterleave(high).0.store_slice(out);
     }
     for (out, value) in rest.iter_mut().zip(row[16 * whole..].iter().step_by(2)) {
@@ -457,7 +460,10 @@ impl Chain<'_> {
                 let start = (r1.start / scale).saturating_sub(r);
                 start.min(r2.start)..(r1.end.div_ceil(scale) + r).min(n).max(r2.end)
             };
-            let (above, below) = (&rings[level], &rings[if scale == 2 { 0 } else { level - 1 }]);
+            let (above, below) = (
+                &rings[level],
+                &rings[if scale == 2 { 0 } else { level - 1 }],
+            );
             let rows = grown(&above.rows, &below.rows, h);
             let columns = grown(&above.columns, &below.columns, w);
             let kept = (above.kept + r + 4).max(2 * r + 8);
@@ -470,14 +476,20 @@ impl Chain<'_> {
             .map(|level| rings[level].columns.start)
             .min()
             .unwrap_or(0);
-        let stride = (rings.iter().map(|r| r.columns.end - r.columns.start.min(origin)))
-            .max()
-            .unwrap_or(0)
-            .next_multiple_of(BLOCK)
+        let stride = (rings
+            .iter()
+            .map(|r| r.columns.end - r.columns.start.min(origin)))
+        .max()
+        .unwrap_or(0)
+        .next_multiple_of(BLOCK)
             + 2 * BLOCK;
         for (level, ring) in rings.iter_mut().enumerate() {
             ring.next = ring.rows.start;
-            ring.origin = if self.is_visible(level) { origin } else { ring.columns.start };
+            ring.origin = if self.is_visible(level) {
+                origin
+            } else {
+                ring.columns.start
+            };
             ring.stride = stride;
             // Old values may remain: whatever is read as a pixel has been computed before.
             ring.data.resize(ring.kept * stride + BLOCK, 0.0);
@@ -486,5 +498,178 @@ impl Chain<'_> {
             row.resize(stride + 2 * widest + 2 * BLOCK, 0.0);
         }
         origin
+    }
+}
+
+/// The scale space by its definition, in f64 and with whole planes: what the sweep is tested against.
+#[cfg(test)]
+pub(crate) mod oracle {
+    use super::*;
+    use crate::Options;
+
+    /// A plane of f64.
+    pub(crate) struct Field {
+        pub(crate) width: usize,
+        pub(crate) height: usize,
+        pub(crate) data: Vec<f64>,
+    }
+
+    impl Field {
+        fn from_fn(width: usize, height: usize, f: impl Fn(usize, usize) -> f64) -> Self {
+            let data = (0..width * height).map(|i| f(i % width, i / width));
+            Self {
+                width,
+                height,
+                data: data.collect(),
+            }
+        }
+
+        pub(crate) fn at(&self, x: usize, y: usize) -> f64 {
+            self.data[y * self.width + x]
+        }
+
+        /// Bilinear value at (x / 2, y / 2).
+        fn half(&self, x: usize, y: usize) -> f64 {
+            let corner = |i, j| self.at((x + i) / 2, (y + j) / 2);
+            (corner(0, 0) + corner(1, 0) + corner(0, 1) + corner(1, 1)) / 4.0
+        }
+
+        fn blurred(&self, sigma: f64) -> Self {
+            let r = (4.0 * sigma).ceil().max(1.0) as isize;
+            let weight = |i: isize| (-0.5 * (i as f64 / sigma).powi(2)).exp();
+            let sum: f64 = (-r..=r).map(weight).sum();
+            let along = Self::from_fn(self.width, self.height, |x, y| {
+                (-r..=r)
+                    .map(|i| weight(i) / sum * self.at(mirrored(x as isize + i, self.width), y))
+                    .sum()
+            });
+            Self::from_fn(self.width, self.height, |x, y| {
+                (-r..=r)
+                    .map(|i| weight(i) / sum * along.at(x, mirrored(y as isize + i, self.height)))
+                    .sum()
+            })
+        }
+
+        fn halved(&self) -> Self {
+            let size = (self.width.div_ceil(2), self.height.div_ceil(2));
+            Self::from_fn(size.0, size.1, |x, y| self.at(2 * x, 2 * y))
+        }
+    }
+
+    /// Gaussian layers `0..=intervals + 1` of the octaves from `options.first_octave` on; at most `count` octaves.
+    pub(crate) fn octaves(image: &GrayImage, options: &Options, count: usize) -> Vec<Vec<Field>> {
+        let (w, h) = (image.width(), image.height());
+        let image = Field::from_fn(w, h, |x, y| f64::from(image.get(x, y)));
+        let (sigma, n) = (f64::from(options.sigma), options.intervals);
+        let sigma_at = |s: usize| sigma * (s as f64 / n as f64).exp2();
+        let between = |from: f64, to: f64| (to * to - from * from).sqrt();
+        let blur = f64::from(options.assumed_blur);
+        let (mut layer_0, first_blur) = if options.first_octave < 0 {
+            (
+                Field::from_fn(2 * w - 1, 2 * h - 1, |x, y| image.half(x, y)),
+                2.0 * blur,
+            )
+        } else {
+            (image, blur)
+        };
+        let mut before = first_blur;
+        for _ in 0..options.first_octave {
+            layer_0 = layer_0.blurred(between(before, 2.0 * sigma)).halved();
+            before = sigma;
+        }
+        let mut octaves = Vec::new();
+        for octave in 0..count {
+            let layers: Vec<Field> = (0..n + 2)
+                .map(|s| match (octave, before < sigma) {
+                    (0, true) => layer_0.blurred(between(before, sigma_at(s))),
+                    (_, _) if s == 0 => {
+                        Field::from_fn(layer_0.width, layer_0.height, |x, y| layer_0.at(x, y))
+                    }
+                    _ => layer_0.blurred(between(sigma, sigma_at(s))),
+                })
+                .collect();
+            layer_0 = layers[n].halved();
+            octaves.push(layers);
+        }
+        octaves
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simd::at_level;
+    use crate::{Options, Sift, Simd};
+
+    fn hash(w: usize, h: usize) -> GrayImage {
+        GrayImage::from_fn(w, h, |x, y| ((x * 7919 + y * 104_729) % 101) as f32 / 101.0).unwrap()
+    }
+
+    #[test]
+    fn copying_every_second_value_at_every_length() {
+        let row: Vec<f32> = (0..90).map(|i| i as f32).collect();
+        for simd in Simd::available() {
+            for n in 0..44 {
+                for len in [2 * n, 2 * n + 1, 90] {
+                    let mut out = vec![-1.0; n];
+                    at_level!(simd, s => copy_even(s, &row[..len], &mut out));
+                    assert!(
+                        out.iter().enumerate().all(|(i, v)| *v == 2.0 * i as f32),
+                        "{n}"
+                    );
+                }
+            }
+        }
+    }
+
+    /// Every layer that is kept, at every level, for sizes with every tail, tiles of more than one column, and all kinds of
+    /// first octaves; bands by the number of threads.
+    #[test]
+    fn planes_are_those_of_the_definition() {
+        for (w, h) in [
+            (12, 12),
+            (13, 40),
+            (33, 31),
+            (64, 48),
+            (90, 77),
+            (700, 24),
+            (660, 150),
+        ] {
+            for first_octave in [-1, 0, 1] {
+                let options = Options {
+                    first_octave,
+                    ..Options::default()
+                };
+                let image = hash(w, h);
+                let expected = oracle::octaves(&image, &options, 2);
+                for simd in Simd::available() {
+                    for threads in [1, 3] {
+                        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+                        let mut sift = Sift::with(options.clone(), simd).unwrap();
+                        pool.build().unwrap().install(|| sift.detect(&image));
+                        let planes = sift.planes();
+                        for (octave, layers) in expected.iter().enumerate() {
+                            let small = layers[0].width.min(layers[0].height) < 12;
+                            for (layer, expected) in layers.iter().enumerate().take(3) {
+                                if small || (octave, layer) == (0, 0) {
+                                    continue;
+                                }
+                                let found = &planes[octave][layer];
+                                assert_eq!(
+                                    (found.width, found.height),
+                                    (expected.width, expected.height)
+                                );
+                                for (a, b) in found.data.iter().zip(&expected.data) {
+                                    assert!(
+                                        (f64::from(*a) - b).abs() < 2e-4,
+                                        "{w} x {h} from {first_octave}: octave {octave}, layer {layer}: {a} {b}"
+                                    );
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
     }
 }

@@ -161,7 +161,7 @@ fn every_option_set_within_range_works() {
     let d = Options::default;
     for options in [
         Options {
-            intervals: 1,
+            intervals: 2,
             ..d()
         },
         Options {
