@@ -3,11 +3,11 @@
 use rayon::prelude::*;
 
 use crate::contrast::Contrast;
-use crate::describe::{Descriptor, describe};
+use crate::describe::describe;
 use crate::detect::{Extremum, extrema};
 use crate::orient::orientations;
 use crate::scale_space::{Octaves, Plane};
-use crate::{Features, GrayImage, Keypoint, Options, SiftError, Simd};
+use crate::{Descriptor, Features, GrayImage, Keypoint, Options, SiftError, Simd};
 
 /// Detects and describes features: checked options, an instruction set, and buffers that are kept from image to image.
 ///
