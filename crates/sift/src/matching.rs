@@ -166,7 +166,7 @@ pub fn match_features_at(
     let matched = |(query, n): (usize, &Nearest)| {
         let alone = n.second_sq == u32::MAX;
         let distinct = alone || f64::from(n.first_sq) < ratio_sq * f64::from(n.second_sq);
-        let mutual = || !options.mutual || found.backward[n.index].index == query;
+        let mutual = || !options.mutual || found.backward[n.index].1 == query;
         (n.index != NOTHING && distinct && mutual()).then_some(Match {
             query,
             train: n.index,
@@ -212,12 +212,15 @@ impl Nearest {
     }
 }
 
+/// Distance and index of nothing.
+const NEVER: (u32, usize) = (u32::MAX, NOTHING);
+
 /// For each query its nearest two train features, for each train feature its nearest query.
 #[derive(Debug, Clone, PartialEq)]
 struct Found {
     forward: Vec<Nearest>,
-    /// No second nearest here: `second_sq` is not used.
-    backward: Vec<Nearest>,
+    /// Squared distance and index; the lesser pair is the one to keep.
+    backward: Vec<(u32, usize)>,
 }
 
 /// `chunk` bounds the features on a side that the kernels take at a time.
@@ -233,5 +236,68 @@ fn search(simd: Simd, query: &Features, train: &Features, gate: &Gate, chunk: us
         Token::Avx512(s) => packed::search::<_, 8, 2>(s, query, train, gate, chunk),
         #[cfg(target_arch = "aarch64")]
         Token::Neon(s) => packed::search::<_, 4, 2>(s, query, train, gate, chunk),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Descriptor;
+
+    /// Small enough for an interpreter: this is the test that runs under Miri.
+    fn features(mut seed: u32, n: usize) -> Features {
+        let mut next = |below: u32| {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 16) % below
+        };
+        let keypoints = (0..n)
+            .map(|_| Keypoint {
+                x: 0.0,
+                y: 0.0,
+                sigma: 1.0 + 0.1 * next(30) as f32,
+                angle: 0.1 * next(60) as f32 - 3.0,
+                response: 0.1,
+                octave: 0,
+                layer: 1,
+            })
+            .collect();
+        // Every third is one of two, and as long as can be.
+        let mut descriptor = |i: usize| {
+            let which = next(2) as usize;
+            Descriptor::new(std::array::from_fn(|k| match (i % 3, k % 64) {
+                (0, 40..42) if k / 64 == which => 127,
+                (0, 60) => 127,
+                (0, _) => 0,
+                _ => next(32) as u8,
+            }))
+        };
+        let descriptors = (0..n).map(|i| descriptor(i).unwrap()).collect();
+        Features {
+            width: 1,
+            height: 1,
+            keypoints,
+            descriptors,
+        }
+    }
+
+    #[test]
+    fn kernels_equal_the_scalar_search_in_one_piece_or_many() {
+        let (query, train) = (features(1, 21), features(2, 41));
+        let scalar = Simd::at(crate::Level::Scalar).unwrap();
+        for gate in [
+            Gate::default(),
+            Gate {
+                sigma_ratio: Some((0.7, 1.5)),
+                turn_rad: Some((3.0, 1.0)),
+            },
+        ] {
+            let expected = search(scalar, &query, &train, &gate, packed::CHUNK);
+            for simd in Simd::available() {
+                for chunk in [packed::CHUNK, 20] {
+                    let found = search(simd, &query, &train, &gate, chunk);
+                    assert_eq!(found, expected, "{}, {chunk}, {gate:?}", simd.level());
+                }
+            }
+        }
     }
 }

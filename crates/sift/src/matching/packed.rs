@@ -14,7 +14,7 @@ use fearless_simd::prelude::*;
 use rayon::prelude::*;
 
 use super::dots::{Dots, Lanes};
-use super::{Found, Gate, NOTHING, Nearest, Place, Window};
+use super::{Found, Gate, NEVER, NOTHING, Nearest, Place, Window};
 use crate::{Descriptor, Features, Keypoint};
 
 /// Bits of a key that hold the index.
@@ -279,7 +279,7 @@ pub(super) fn search<D: Dots, const Q: usize, const G: usize>(
 ) -> Found {
     let mut found = Found {
         forward: vec![Nearest::NONE; query.len()],
-        backward: vec![Nearest::NONE; train.len()],
+        backward: vec![NEVER; train.len()],
     };
     let pieces = |n: usize| (0..n).step_by(chunk).map(move |a| a..(a + chunk).min(n));
     for trains in pieces(train.len()) {
@@ -330,12 +330,9 @@ pub(super) fn search<D: Dots, const Q: usize, const G: usize>(
             }
             let backward = backward.iter().flatten().flat_map(|v| v.as_slice());
             for (&index, &key) in train.order.iter().zip(backward) {
-                let (nearest, first_sq) = decode(key, train.descriptors[index].norm_sq());
-                found.backward[trains.start + index].see(Nearest {
-                    index: nearest.saturating_add(queries.start),
-                    first_sq,
-                    second_sq: u32::MAX,
-                });
+                let (nearest, distance_sq) = decode(key, train.descriptors[index].norm_sq());
+                let all = &mut found.backward[trains.start + index];
+                *all = (*all).min((distance_sq, nearest.saturating_add(queries.start)));
             }
         }
     }

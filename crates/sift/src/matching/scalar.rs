@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{Found, Gate, Nearest};
+use super::{Found, Gate, NEVER, Nearest, Place};
 use crate::{Descriptor, Features};
 
 /// Query features per parallel task.
@@ -16,24 +16,24 @@ fn distance_sq(a: &Descriptor, b: &Descriptor) -> u32 {
 }
 
 pub(super) fn search(query: &Features, train: &Features, gate: &Gate) -> Found {
+    let places: Vec<Place> = train.keypoints.iter().map(|k| gate.place(k)).collect();
     let task = |queries: usize| {
         let queries = queries..(queries + TASK).min(query.len());
         let mut found = Found {
             forward: vec![Nearest::NONE; queries.len()],
-            backward: vec![Nearest::NONE; train.len()],
+            backward: vec![NEVER; train.len()],
         };
         for (i, forward) in queries.zip(&mut found.forward) {
             let window = gate.window(&query.keypoints[i]);
             for (j, backward) in found.backward.iter_mut().enumerate() {
-                if window.admits(gate.place(&train.keypoints[j])) {
+                if window.admits(places[j]) {
                     let first_sq = distance_sq(&query.descriptors[i], &train.descriptors[j]);
-                    let pair = |index| Nearest {
-                        index,
+                    forward.see(Nearest {
+                        index: j,
                         first_sq,
                         second_sq: u32::MAX,
-                    };
-                    forward.see(pair(j));
-                    backward.see(pair(i));
+                    });
+                    *backward = (*backward).min((first_sq, i));
                 }
             }
         }
@@ -43,12 +43,12 @@ pub(super) fn search(query: &Features, train: &Features, gate: &Gate) -> Found {
     let tasks: Vec<Found> = starts.into_par_iter().map(task).collect();
     let mut found = Found {
         forward: Vec::with_capacity(query.len()),
-        backward: vec![Nearest::NONE; train.len()],
+        backward: vec![NEVER; train.len()],
     };
     for task in tasks {
         found.forward.extend(task.forward);
         for (all, later) in found.backward.iter_mut().zip(task.backward) {
-            all.see(later);
+            *all = (*all).min(later);
         }
     }
     found
