@@ -68,7 +68,10 @@ impl Descriptor {
 pub(crate) fn finish(histogram: &[f32; 128]) -> Descriptor {
     let norm = |v: &[f32; 128]| v.iter().map(|v| v * v).sum::<f32>().sqrt();
     let scale = 1.0 / norm(histogram).max(f32::MIN_POSITIVE);
-    let cut = histogram.map(|v| (v * scale).max(0.0).min(CUT));
+    let cut = histogram.map(|v| {
+        let v = v * scale;
+        if v > 0.0 { v.min(CUT) } else { 0.0 }
+    });
     // The second normalisation cancels in the division by the sum.
     let scale = 1.0 / cut.iter().sum::<f32>().max(f32::MIN_POSITIVE);
     let byte =

@@ -26,7 +26,7 @@ fn random(seed: u64, n: usize, ties: bool) -> Features {
         })
         .collect();
     let mut component = |i: usize| match ties {
-        true if i % 32 > 0 => 0,
+        true if !i.is_multiple_of(32) => 0,
         true => 127 * (r.unit() * 2.0) as u8,
         false => (r.unit() * 32.0) as u8,
     };

@@ -141,11 +141,12 @@ impl<'a> Side<'a> {
                 window: gate.window(&self.keypoints[index]),
             });
         }
-        while let Some(last) = queries.last().filter(|_| queries.len() % group != 0) {
-            queries.push(Query {
+        if let Some(&Query { window, .. }) = queries.last() {
+            let whole = queries.len().next_multiple_of(group);
+            queries.resize_with(whole, || Query {
                 quads: [0; 32],
                 label: NONE,
-                window: last.window,
+                window,
             });
         }
         queries
@@ -168,9 +169,8 @@ impl<'a> Side<'a> {
             for (at, &index) in members.iter().enumerate() {
                 let (g, lane) = (at / lanes, at % lanes);
                 let Place { sigma, angle } = gate.place(&self.keypoints[index]);
-                let quads = self.quads(index);
-                for k in 0..32 {
-                    block.quads[k][g][lane] = quads[k];
+                for (row, quad) in block.quads.iter_mut().zip(self.quads(index)) {
+                    row[g][lane] = quad;
                 }
                 block.labels[g][lane] = self.label(index);
                 block.sigma[g][lane] = sigma;
