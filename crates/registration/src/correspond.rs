@@ -1,7 +1,7 @@
 //! Matches between view and target, gated by what is known before looking.
 
 use scopeservo_geometry::{Affine2, Correspondence};
-use scopeservo_sift::{Features, Keypoint, Match, MatchOptions, match_features_gated};
+use scopeservo_sift::{Features, Gate, Keypoint, Match, MatchOptions, match_features_gated};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
@@ -29,9 +29,6 @@ pub struct RotationPrior {
     pub tolerance_rad: f64,
 }
 
-/// A whole turn.
-const TURN: f32 = std::f32::consts::TAU;
-
 /// What a calibration tells of the transform before the images are looked at.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Prior {
@@ -42,23 +39,17 @@ pub struct Prior {
 }
 
 impl Prior {
-    /// The test whether two keypoints may show the same thing. It runs for every pair of a brute-force match, so what
-    /// can be is computed before, and angles are wrapped by a comparison: they lie in (-pi, pi].
-    pub(crate) fn gate(&self) -> impl Fn(&Keypoint, &Keypoint) -> bool + Sync + use<> {
-        let (least, most) = self.scale.map_or((0.0, f32::INFINITY), |s| {
-            let slack = KEYPOINT_SCALE_SLACK * (1.0 + s.tolerance);
-            ((s.ratio / slack) as f32, (s.ratio * slack) as f32)
-        });
-        let (angle, off) = self.rotation.map_or((0.0, f32::INFINITY), |r| {
-            let off = r.tolerance_rad + KEYPOINT_ANGLE_SLACK_RAD;
-            (wrap(r.angle_rad) as f32, off as f32)
-        });
-        move |view, target| {
-            let in_scale = target.sigma > least * view.sigma && target.sigma < most * view.sigma;
-            // Up to 3 pi before wrapping.
-            let turn = (target.angle - view.angle - angle).abs();
-            let turn = (turn - TURN).abs().min(turn).min((turn - 2.0 * TURN).abs());
-            in_scale && turn < off
+    /// Which keypoints of view and target may show the same thing.
+    pub(crate) fn gate(&self) -> Gate {
+        Gate {
+            sigma_ratio: self.scale.map(|s| {
+                let slack = KEYPOINT_SCALE_SLACK * (1.0 + s.tolerance);
+                ((s.ratio / slack) as f32, (s.ratio * slack) as f32)
+            }),
+            turn_rad: self.rotation.map(|r| {
+                let off = r.tolerance_rad + KEYPOINT_ANGLE_SLACK_RAD;
+                (wrap(r.angle_rad) as f32, off as f32)
+            }),
         }
     }
 
@@ -119,7 +110,7 @@ pub fn correspondences(
     prior: &Prior,
     options: &MatchOptions,
 ) -> (Vec<Match>, Vec<Correspondence>) {
-    let matches = match_features_gated(view, target, options, prior.gate());
+    let matches = match_features_gated(view, target, options, &prior.gate());
     let ratio = prior.scale.map(|s| s.ratio);
     let pairs = matches
         .iter()
@@ -165,17 +156,15 @@ mod tests {
                 tolerance_rad: 0.1,
             }),
         };
-        let admits = prior.gate();
+        let gate = prior.gate();
         // 3.1 rad and -3.1 rad are neighbours across the wrap.
-        assert!(admits(&keypoint(2.0, 0.0), &keypoint(8.5, -3.1)));
-        assert!(admits(&keypoint(2.0, 3.1), &keypoint(8.5, 0.0)));
-        assert!(admits(&keypoint(2.0, -3.1), &keypoint(8.5, 0.0)));
-        assert!(!admits(&keypoint(2.0, 0.0), &keypoint(8.5, 1.0)));
-        assert!(!admits(&keypoint(2.0, 0.0), &keypoint(2.0, 3.1)));
-        assert!(Prior::default().gate()(
-            &keypoint(1.0, 0.0),
-            &keypoint(50.0, 2.0)
-        ));
+        assert!(gate.admits(&keypoint(2.0, 0.0), &keypoint(8.5, -3.1)));
+        assert!(gate.admits(&keypoint(2.0, 3.1), &keypoint(8.5, 0.0)));
+        assert!(gate.admits(&keypoint(2.0, -3.1), &keypoint(8.5, 0.0)));
+        assert!(!gate.admits(&keypoint(2.0, 0.0), &keypoint(8.5, 1.0)));
+        assert!(!gate.admits(&keypoint(2.0, 0.0), &keypoint(2.0, 3.1)));
+        let open = Prior::default().gate();
+        assert!(open.admits(&keypoint(1.0, 0.0), &keypoint(50.0, 2.0)));
     }
 
     #[test]

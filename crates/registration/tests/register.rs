@@ -46,7 +46,7 @@ fn pairs(good: usize, bad: usize, noise: f64, seed: u64, spot: f64) -> (Features
     let (mut view, mut target) = (empty(), empty());
     let truth = Affine2::from(TRUTH);
     for i in 0..good + bad {
-        let descriptor = Descriptor(std::array::from_fn(|_| rng.below(120) as u8));
+        let descriptor = Descriptor::new(std::array::from_fn(|_| rng.below(32) as u8)).unwrap();
         let anywhere = place(&mut rng);
         let p = [0, 1].map(|k| 200.0 + spot * (anywhere[k] - 200.0));
         let (sigma, angle) = (2.0 + 2.0 * rng.uniform(), 6.0 * rng.uniform());

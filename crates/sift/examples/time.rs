@@ -1,12 +1,15 @@
 //! Times detection and matching on a synthetic image: `cargo run --release --example time -p scopeservo-sift [threads] [raw w h]`.
 //!
-//! Prints milliseconds (best of several) and counts. `raw` is a file of w * h grey bytes to use instead of the synthetic image.
+//! Prints milliseconds (best of several) and counts; matching at every level, on one thread and on two. `raw` is a file of w * h grey bytes to use instead of the synthetic image.
 
 #![expect(clippy::print_stdout, reason = "the example reports what it measured")]
 
 use std::time::Instant;
 
-use scopeservo_sift::{GrayImage, MatchOptions, Options, detect_and_describe, match_features};
+use scopeservo_sift::{
+    Descriptor, Features, Gate, GrayImage, Keypoint, MatchOptions, Options, Simd,
+    detect_and_describe, match_features_at,
+};
 
 /// Value noise of five octaves: detail at every scale, the same on every run.
 fn texture(x: f32, y: f32) -> f32 {
@@ -69,12 +72,61 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         features.len(),
         options.max_features
     );
-    let half = features.subset(&(0..features.len().min(2000)).collect::<Vec<_>>());
-    let (ms, matches) = best(7, || match_features(&half, &half, &MatchOptions::default()));
-    println!(
-        "{0} x {0} matched in {ms:.1} ms: {1} matches",
-        half.len(),
-        matches.len()
-    );
+    time_matching()
+}
+
+/// `n` features with random descriptors, angles, and sigmas spread over four octaves, the smaller the more.
+fn random_features(n: usize, mut seed: u64) -> Result<Features, Box<dyn std::error::Error>> {
+    let mut unit = || {
+        seed = seed.wrapping_mul(0x5851_F42D_4C95_7F2D).wrapping_add(1);
+        (seed >> 40) as f32 / (1 << 24) as f32
+    };
+    let keypoints = (0..n)
+        .map(|_| Keypoint {
+            x: 100.0 * unit(),
+            y: 100.0 * unit(),
+            sigma: 1.0 / (1.0 - 0.94 * unit()),
+            angle: std::f32::consts::PI * (2.0 * unit() - 1.0),
+            response: 0.1,
+            octave: 0,
+            layer: 1,
+        })
+        .collect();
+    let descriptors = (0..n)
+        .map(|_| Descriptor::new(std::array::from_fn(|_| (32.0 * unit()) as u8)))
+        .collect::<Result<_, _>>()?;
+    Ok(Features {
+        width: 100,
+        height: 100,
+        keypoints,
+        descriptors,
+    })
+}
+
+/// All levels, open and with what a calibration knows, on one thread and on two.
+fn time_matching() -> Result<(), Box<dyn std::error::Error>> {
+    let known = Gate {
+        sigma_ratio: Some((1.0 / 1.7, 1.7)),
+        turn_rad: Some((0.3, 0.5)),
+    };
+    for n in [2000, 5000] {
+        let (query, train) = (random_features(n, 1)?, random_features(n, 2)?);
+        for simd in Simd::available() {
+            for threads in [1, 2] {
+                let pool = rayon::ThreadPoolBuilder::new()
+                    .num_threads(threads)
+                    .build()?;
+                let [open, gated] = [Gate::default(), known].map(|gate| {
+                    let options = MatchOptions::default();
+                    let once = || match_features_at(simd, &query, &train, &options, &gate);
+                    pool.install(|| best(9, once)).0
+                });
+                println!(
+                    "{n} x {n} matched at {}, {threads} threads: {open:.2} ms, gated {gated:.2} ms",
+                    simd.level()
+                );
+            }
+        }
+    }
     Ok(())
 }

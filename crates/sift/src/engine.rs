@@ -4,7 +4,8 @@ use rayon::prelude::*;
 
 use crate::blur::{Doubling, Kernel};
 use crate::contrast::Contrast;
-use crate::describe::{Descriptor, Weights, describe};
+use crate::describe::{Weights, describe};
+use crate::descriptor::Descriptor;
 use crate::detect::{Extremum, Scan, Scanner};
 use crate::orient::{Orientations, orientations};
 use crate::scale_space::{Chain, Make, Plane, Scratch, Source};

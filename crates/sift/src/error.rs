@@ -65,6 +65,16 @@ pub enum SiftError {
         /// Number of descriptors.
         descriptors: usize,
     },
+    /// Descriptor components that are too large.
+    #[error(
+        "a descriptor's components must not exceed 127 nor their squares sum to more than 65535, got {greatest} and {norm_sq}; detect again"
+    )]
+    DescriptorRange {
+        /// Greatest component.
+        greatest: u8,
+        /// Sum of squared components.
+        norm_sq: u32,
+    },
     /// A keypoint that is not finite, has no size or lies outside its image.
     #[error(
         "keypoint {index} is not finite, has no size or lies outside its image; the stored file is damaged, detect again"

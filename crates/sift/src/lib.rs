@@ -29,6 +29,7 @@
 mod blur;
 mod contrast;
 mod describe;
+mod descriptor;
 mod detect;
 mod engine;
 mod error;
@@ -41,11 +42,13 @@ mod orient;
 mod scale_space;
 mod simd;
 
-pub use describe::Descriptor;
+pub use descriptor::Descriptor;
 pub use engine::{Sift, detect_and_describe};
 pub use error::SiftError;
 pub use features::{Features, Keypoint};
 pub use image::GrayImage;
-pub use matching::{Match, MatchOptions, match_features, match_features_gated};
+pub use matching::{
+    Gate, Match, MatchOptions, match_features, match_features_at, match_features_gated,
+};
 pub use options::Options;
 pub use simd::{Level, Simd};
