@@ -150,16 +150,22 @@ fn each_block<P: Problem>(
 
 /// The MSAC cost, or something that is at least `enough` when the cost is.
 fn cost<P: Problem>(problem: &P, model: &P::Model, threshold_sq: f64, enough: f64) -> f64 {
-    // Four sums side by side, which processors add at once.
-    let (mut sums, mut cost) = ([0.0; 4], 0.0);
+    let per_threshold_sq = 1.0 / threshold_sq;
+    let share = |r_sq: f64| {
+        let share = r_sq * per_threshold_sq;
+        if share < 1.0 { share } else { 1.0 }
+    };
+    let mut cost = 0.0;
     each_block(problem, model, |_, block| {
-        for four in block.chunks(4) {
-            for (sum, r_sq) in sums.iter_mut().zip(four) {
-                let share = r_sq / threshold_sq;
-                *sum += if share < 1.0 { share } else { 1.0 };
+        // Four sums side by side, which processors add at once.
+        let (fours, rest) = block.as_chunks::<4>();
+        let mut sums = [0.0; 4];
+        for four in fours {
+            for k in 0..4 {
+                sums[k] += share(four[k]);
             }
         }
-        cost = sums.iter().sum();
+        cost += sums.iter().sum::<f64>() + rest.iter().map(|&r| share(r)).sum::<f64>();
         cost >= enough
     });
     cost

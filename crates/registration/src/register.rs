@@ -246,7 +246,8 @@ pub fn register_matches(
             false => (f64::INFINITY, i),
         })
         .collect();
-    ranked.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    // A stable sort: of equals the first match stays the first.
+    ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
     let points: Vec<(Vec2, Vec2)> = ranked
         .iter()
         .map(|&(_, i)| (pairs[i].p_in_a, pairs[i].p_in_b))

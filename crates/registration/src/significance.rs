@@ -121,9 +121,9 @@ fn close(p: Vec2, q: Vec2, apart: f64) -> bool {
 /// The area of the target, px^2, in which keypoints lie at all: matches cannot land on blank glass, so only this counts
 /// for chance. Cells of `cell` px with at least one keypoint.
 pub fn occupied_area(points: impl Iterator<Item = Vec2>, cell: f64) -> f64 {
-    let mut cells: Vec<[i32; 2]> = points
-        .map(|p| p.map(|x| (x / cell).floor() as i32))
-        .collect();
+    // Column and row in one number, which sorts fastest.
+    let index = |x: f64| i64::from((x / cell).floor() as i32);
+    let mut cells: Vec<i64> = points.map(|p| (index(p[1]) << 32) + index(p[0])).collect();
     cells.sort_unstable();
     cells.dedup();
     cells.len() as f64 * cell * cell
