@@ -344,6 +344,24 @@ mod tests {
     }
 
     #[test]
+    fn outliers_hardly_move_the_robust_fit() {
+        let mut rng = SplitMix64::new(4);
+        let mut c = noisy(&mut rng, 200, 0.3);
+        let clean = fit_affine_robust(&c).unwrap().b_from_a;
+        for c in &mut c[..30] {
+            c.p_in_b[0] += 15.0;
+        }
+        let plain = fit_affine(&c, &[1.0; 200]).unwrap().b_from_a;
+        let robust = fit_affine_robust(&c).unwrap().b_from_a;
+        assert!(distance(plain, clean) > 1.5 && distance(robust, clean) < 0.1);
+        let exact = noisy(&mut rng, 12, 0.0);
+        let fit = fit_affine_robust(&exact).unwrap();
+        assert!(distance(fit.b_from_a, TRUTH.into()) < 1e-9);
+        assert_eq!(fit_affine_robust(&exact[..2]), None);
+        assert_eq!(fit_affine_robust(&[]), None);
+    }
+
+    #[test]
     fn points_on_a_line_are_refused() {
         let on_line = |t: f64| Correspondence {
             p_in_a: [t, 2.0 * t + 1.0],

@@ -466,6 +466,31 @@ mod tests {
     }
 
     #[test]
+    fn blocks_add_up_to_the_whole() {
+        for count in [1, 3, 127, 128, 129, 400] {
+            let scene = scene(count, 0, 3);
+            let problem = AffineProblem::new(&scene.correspondences, &|_| true);
+            let off_sq: Vec<f64> = scene
+                .correspondences
+                .iter()
+                .map(|c| {
+                    let q = scene.truth.apply(c.p_in_a);
+                    (q[0] - c.p_in_b[0]).powi(2) + (q[1] - c.p_in_b[1]).powi(2)
+                })
+                .collect();
+            let threshold_sq = 0.15;
+            let whole: f64 = off_sq.iter().map(|r| (r / threshold_sq).min(1.0)).sum();
+            let blocks = cost(&problem, &scene.truth, threshold_sq, f64::INFINITY);
+            assert!((blocks - whole).abs() < 1e-9 * whole, "{count}");
+            // Stopping early never makes a model look better than what it has to beat.
+            let enough = whole / 2.0;
+            assert!(cost(&problem, &scene.truth, threshold_sq, enough) >= enough);
+            let within: Vec<usize> = (0..count).filter(|&i| off_sq[i] <= threshold_sq).collect();
+            assert_eq!(inliers(&problem, &scene.truth, threshold_sq), within);
+        }
+    }
+
+    #[test]
     fn equal_seeds_give_equal_results() {
         let scene = scene(60, 200, 5);
         let problem = AffineProblem::new(&scene.correspondences, &|_| true);
