@@ -97,7 +97,7 @@ pub(crate) struct DemoArgs {
     /// How far the slide is turned about the target's centre, degrees. Drawn within +-6 by default.
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     pub(crate) start_deg: Option<f64>,
-    /// Threads for simulation and vision; all cores by default. The answer does not depend on it.
+    /// Threads for simulation and vision, 1 to 256; all cores by default. The answer does not depend on it.
     #[arg(long, value_name = "N")]
     pub(crate) threads: Option<usize>,
     /// What the simulated microscope gets wrong.
@@ -115,7 +115,9 @@ pub(crate) struct DemoArgs {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   scopeservo register view.png target.png
-  scopeservo register scanner_a.tif scanner_b.tif --level 2 --json")]
+  scopeservo register scanner_a.tif scanner_b.tif --level 2 --json
+  scopeservo register scan.tif target.png --features 8000
+  scopeservo register view.png target.png --time 50 --threads 1")]
 pub(crate) struct RegisterArgs {
     /// The image to find the transform from.
     pub(crate) view: PathBuf,
@@ -125,8 +127,15 @@ pub(crate) struct RegisterArgs {
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) level: usize,
     /// Strongest features of each image to use.
-    #[arg(long, value_name = "N", default_value_t = 4000)]
+    #[arg(long, value_name = "N", default_value_t = 2000)]
     pub(crate) features: usize,
+    /// Also tell how long it takes: the median of N repetitions (1 to 10000) of the view's features, match and fit. Files
+    /// are decoded and the target's features made once, before.
+    #[arg(long, value_name = "N")]
+    pub(crate) time: Option<usize>,
+    /// Threads, 1 to 256; all cores by default. The answer does not depend on it.
+    #[arg(long, value_name = "T")]
+    pub(crate) threads: Option<usize>,
     /// Print one JSON object on stdout instead of the summary.
     #[arg(long)]
     pub(crate) json: bool,

@@ -5,6 +5,7 @@ use crate::bench::{Bench, displace, save_target};
 use crate::error::CliError;
 use crate::output::{self, DemoJson, SCHEMA};
 use crate::progress::Watcher;
+use crate::threads::with_threads;
 use crate::views::{ViewWriter, clear_earlier_run, write_json};
 use scopeservo_report as report;
 use scopeservo_scope::{Instrument, ObjectiveId};
@@ -24,23 +25,13 @@ const MAX_SHIFT_UM: f64 = 1e5;
 
 pub(crate) fn run(args: &DemoArgs) -> Result<bool, CliError> {
     check(args)?;
-    let mut pool = rayon::ThreadPoolBuilder::new();
-    if let Some(threads) = args.threads {
-        pool = pool.num_threads(threads);
-    }
-    let pool = pool
-        .build()
-        .map_err(|e| CliError::Internal(format!("no threads could be started: {e}")))?;
-    pool.install(|| demo(args))
+    with_threads(args.threads, || demo(args))
 }
 
 fn check(args: &DemoArgs) -> Result<(), CliError> {
     let usage = |text: &str| Err(CliError::Usage(text.into()));
     if !(args.lambda > 0.0 && args.lambda <= 1.0) {
         return usage("--lambda must be above 0 and at most 1; the paper uses 0.2");
-    }
-    if args.threads == Some(0) {
-        return usage("--threads must be at least 1");
     }
     if args.max_iterations == 0 {
         return usage("--max-iterations must be at least 1");

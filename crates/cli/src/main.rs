@@ -28,6 +28,7 @@ mod output;
 mod progress;
 mod register;
 mod scene;
+mod threads;
 mod views;
 
 use args::{Cli, Command};

@@ -108,6 +108,9 @@ pub(crate) struct RegisterJson {
     /// Factor by which view and target were reduced before looking; coordinates are full-resolution all the same.
     pub(crate) reduced: [usize; 2],
     pub(crate) level: usize,
+    /// With `--time`: median milliseconds of the view's features, match and fit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) ms: Option<f64>,
     pub(crate) engine: String,
     pub(crate) cpu_level: String,
 }

@@ -3,28 +3,62 @@
 use crate::args::RegisterArgs;
 use crate::error::CliError;
 use crate::output::{self, RegisterJson, SCHEMA};
+use crate::threads::with_threads;
 use scopeservo_geometry::{Affine2, Mat2};
 use scopeservo_registration::{NotFound, Options, Prior};
 use scopeservo_servo::Engine;
-use scopeservo_sift::{Features, GrayImage, detect_and_describe};
+use scopeservo_sift::{GrayImage, Sift};
 use scopeservo_slide::Slide;
 use std::path::Path;
+use std::time::Instant;
 
 /// Above this many pixels an image is reduced before looking.
 const MAX_PIXELS: usize = 4_000_000;
 /// Smaller images cannot hold features.
 const LEAST_SIDE: usize = 16;
+/// Repetitions beyond this tell nothing more.
+const MAX_REPETITIONS: usize = 10_000;
 
 pub(crate) fn run(args: &RegisterArgs) -> Result<bool, CliError> {
     if args.features == 0 {
         return Err(CliError::Usage(
-            "--features must be at least 1; 4000 suits most images".into(),
+            "--features must be at least 1; 2000 suits most images".into(),
         ));
     }
+    if args
+        .time
+        .is_some_and(|n| !(1..=MAX_REPETITIONS).contains(&n))
+    {
+        return Err(CliError::Usage(format!(
+            "--time must be from 1 to {MAX_REPETITIONS} repetitions; 50 suits most images"
+        )));
+    }
+    with_threads(args.threads, || look(args))
+}
+
+fn look(args: &RegisterArgs) -> Result<bool, CliError> {
     let (view, view_factor) = load(&args.view, args)?;
     let (target, target_factor) = load(&args.target, args)?;
-    let answer =
-        scopeservo_registration::register(&view, &target, &Prior::default(), &Options::default());
+    let mut sift = Sift::new(scopeservo_sift::Options {
+        max_features: args.features,
+        ..Default::default()
+    })?;
+    let target = sift.detect_and_describe(&target);
+    let mut register = || {
+        let view = sift.detect_and_describe(&view);
+        let (prior, options) = (Prior::default(), Options::default());
+        let answer = scopeservo_registration::register(&view, &target, &prior, &options);
+        (view.len(), answer)
+    };
+    // Once for the answer, which also warms the caches; the repetitions give the same.
+    let (view_features, answer) = register();
+    let ms = args.time.map(|repetitions| {
+        median((0..repetitions).map(|_| {
+            let start = Instant::now();
+            register();
+            start.elapsed().as_secs_f64() * 1e3
+        }))
+    });
 
     let engine = Engine::current();
     let mut json = RegisterJson {
@@ -38,10 +72,11 @@ pub(crate) fn run(args: &RegisterArgs) -> Result<bool, CliError> {
         scale: None,
         rotation_deg: None,
         matches: answer.matches,
-        keypoints: [view.len(), target.len()],
+        keypoints: [view_features, target.len()],
         log10_false_alarms: answer.log10_nfa,
         reduced: [view_factor, target_factor],
         level: args.level,
+        ms,
         engine: engine.name,
         cpu_level: engine.cpu_level,
     };
@@ -102,6 +137,13 @@ fn print_summary(json: &RegisterJson) {
             say!("  [{:12.7} {:12.7} {:12.3}]", row[0], row[1], row[2]);
         }
     }
+    if let Some(ms) = json.ms {
+        let ([view, target], threads) = (json.keypoints, rayon::current_num_threads());
+        say!(
+            "{ms:.2} ms for {view} features of the view, match with {target} of the target, and fit ({}, threads: {threads})",
+            json.cpu_level
+        );
+    }
 }
 
 fn code(reason: &NotFound) -> &'static str {
@@ -114,8 +156,16 @@ fn code(reason: &NotFound) -> &'static str {
     }
 }
 
-/// Features of one file and the factor by which it was reduced.
-fn load(path: &Path, args: &RegisterArgs) -> Result<(Features, usize), CliError> {
+/// The middle one, or the mean of the middle two.
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    let n = sorted.len();
+    (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0
+}
+
+/// One image, and the factor by which it was reduced.
+fn load(path: &Path, args: &RegisterArgs) -> Result<(GrayImage, usize), CliError> {
     let gray = Slide::open(path)?.read_gray(args.level)?;
     if gray.width < LEAST_SIDE || gray.height < LEAST_SIDE {
         return Err(CliError::TooSmall {
@@ -129,11 +179,7 @@ fn load(path: &Path, args: &RegisterArgs) -> Result<(Features, usize), CliError>
         .find(|f| (gray.width / f) * (gray.height / f) <= MAX_PIXELS)
         .unwrap_or(1);
     let image = reduce(gray.width, gray.height, gray.data, factor)?;
-    let options = scopeservo_sift::Options {
-        max_features: args.features,
-        ..Default::default()
-    };
-    Ok((detect_and_describe(&image, &options)?, factor))
+    Ok((image, factor))
 }
 
 /// Means of `factor` x `factor` blocks; what does not fill a block at the right and lower border is left out.
@@ -175,6 +221,13 @@ mod tests {
         let full = reduced_from_full(3).inverse().unwrap();
         assert!((full.apply([0.0, 0.0])[0] - 1.0).abs() < 1e-12);
         assert!((full.apply([2.0, 5.0])[1] - 16.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_median_lies_in_the_middle() {
+        assert_eq!(median([3.0, 1.0, 9.0].into_iter()), 3.0);
+        assert_eq!(median([3.0, 1.0, 9.0, 5.0].into_iter()), 4.0);
+        assert_eq!(median([2.0].into_iter()), 2.0);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{code, json, scopeservo, stderr};
+use common::{code, json, save_gray8, scopeservo, stderr, tissue_gray};
 use std::fs;
 
 #[test]
@@ -152,4 +152,45 @@ fn the_papers_keys_are_all_there() {
             "{key} is missing"
         );
     }
+}
+
+#[test]
+fn register_tells_its_time_when_asked_and_the_same_answer_on_any_number_of_threads() {
+    let dir = tempfile::tempdir().unwrap();
+    let (w, h) = (640, 480);
+    for (name, x) in [("view.png", 0.0), ("target.png", 30.0)] {
+        save_gray8(&dir.path().join(name), w, h, tissue_gray(3, [x, 0.0], w, h));
+    }
+    let run = |more: &[&str]| {
+        let output = scopeservo(
+            dir.path(),
+            &[&["register", "view.png", "target.png"], more].concat(),
+        );
+        assert_eq!(code(&output), 0, "{}", stderr(&output));
+        output
+    };
+    let plain = json(&run(&["--json"]));
+    assert!(plain.get("ms").is_none(), "{plain}");
+    // 2000 is what is looked at by default, in each image.
+    assert_eq!(plain, json(&run(&["--json", "--features", "2000"])));
+    assert_ne!(
+        plain["keypoints"],
+        json(&run(&["--json", "--features", "300"]))["keypoints"]
+    );
+    for threads in ["1", "2"] {
+        let mut timed = json(&run(&["--json", "--time", "3", "--threads", threads]));
+        let ms = timed.as_object_mut().unwrap().remove("ms").unwrap();
+        assert!(ms.as_f64().unwrap() > 0.0, "{ms}");
+        assert_eq!(timed, plain);
+        assert_eq!(json(&run(&["--json", "--threads", threads])), plain);
+    }
+    // A thread more than there are cores, so that the line shows the pool and not the machine.
+    let output = run(&["--time", "1", "--threads", "7"]);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(
+        said.contains(" ms for ") && said.contains("threads: 7"),
+        "{said}"
+    );
+    let said = String::from_utf8_lossy(&run(&[]).stdout).into_owned();
+    assert!(!said.contains(" ms for "), "{said}");
 }

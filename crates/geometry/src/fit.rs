@@ -105,65 +105,85 @@ fn through(linear: Mat2, p_in_a: Vec2, p_in_b: Vec2) -> Affine2 {
 }
 
 /// Weighted means of both point sets, and the sum of weights.
-fn centroids(c: &[Correspondence], weights: &[f64]) -> (Vec2, Vec2, f64) {
+fn centroids(points: impl Iterator<Item = (Vec2, Vec2, f64)>) -> (Vec2, Vec2, f64) {
     let (mut a, mut b, mut total) = ([0.0; 2], [0.0; 2], 0.0);
-    for (c, &w) in c.iter().zip(weights) {
+    for (p_in_a, p_in_b, w) in points {
         total += w;
         for k in 0..2 {
-            a[k] += w * c.p_in_a[k];
-            b[k] += w * c.p_in_b[k];
+            a[k] += w * p_in_a[k];
+            b[k] += w * p_in_b[k];
         }
     }
     (a.map(|v| v / total), b.map(|v| v / total), total)
 }
 
+/// What least squares gives before anyone asks for its covariance.
+pub(crate) struct Solution {
+    pub(crate) b_from_a: Affine2,
+    mean_a: Vec2,
+    /// Inverse of the normal matrix about `mean_a`.
+    inverse: [[f64; 3]; 3],
+}
+
+/// Least squares affine over `(p_in_a, p_in_b, weight)`. `None` when the points lie on a line.
+///
+/// Both coordinates share one normal matrix. About the centroid the offset separates from it, which leaves 2x2.
+pub(crate) fn solve(points: impl Iterator<Item = (Vec2, Vec2, f64)> + Clone) -> Option<Solution> {
+    let (mean_a, mean_b, total) = centroids(points.clone());
+    if !(total.is_finite() && total > 0.0) {
+        return None;
+    }
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    let mut right = [[0.0; 2]; 2];
+    for (p_in_a, p_in_b, w) in points {
+        let (x, y) = (p_in_a[0] - mean_a[0], p_in_a[1] - mean_a[1]);
+        let (wx, wy) = (w * x, w * y);
+        xx += wx * x;
+        xy += wx * y;
+        yy += wy * y;
+        for k in 0..2 {
+            let b = p_in_b[k] - mean_b[k];
+            right[k][0] += wx * b;
+            right[k][1] += wy * b;
+        }
+    }
+    let [[i00, i01], [i10, i11]] = cholesky_inverse(&[[xx, xy], [xy, yy]])?;
+    let centred = Affine2 {
+        linear: Mat2(right) * Mat2([[i00, i01], [i10, i11]]),
+        offset: [0.0; 2],
+    };
+    Some(Solution {
+        b_from_a: centred.recentred([-mean_a[0], -mean_a[1]], [-mean_b[0], -mean_b[1]]),
+        mean_a,
+        inverse: [[i00, i01, 0.0], [i10, i11, 0.0], [0.0, 0.0, 1.0 / total]],
+    })
+}
+
 /// Least squares affine over `c`, each equation weighted by `robust_weight / sigma^2`.
 ///
-/// Both coordinates share one 3x3 normal matrix, so two 3-unknown problems are solved, about the centroid for
-/// conditioning. The covariance is that of the weighted fit with the residual scale found; robust weights enter
-/// through the usual sandwich. `None` with fewer than three correspondences or when they lie on a line.
+/// The covariance is that of the weighted fit with the residual scale found; robust weights enter through the usual
+/// sandwich. `None` with fewer than three correspondences or when they lie on a line.
 pub fn fit_affine(c: &[Correspondence], robust_weights: &[f64]) -> Option<AffineFit> {
     assert_eq!(c.len(), robust_weights.len());
+    if c.len() < 3 {
+        return None;
+    }
     let weights: Vec<f64> = c
         .iter()
         .zip(robust_weights)
         .map(|(c, r)| r / (c.sigma * c.sigma))
         .collect();
-    let (mean_a, mean_b, total) = centroids(c, &weights);
-    if c.len() < 3 || !(total.is_finite() && total > 0.0) {
-        return None;
-    }
+    let Solution {
+        b_from_a,
+        mean_a,
+        inverse,
+    } = solve(weighted(c, &weights))?;
     let row = |p: Vec2| [p[0] - mean_a[0], p[1] - mean_a[1], 1.0];
-    let mut normal = [[0.0; 3]; 3];
-    let mut right = [[0.0; 3]; 2];
-    for (c, &w) in c.iter().zip(&weights) {
-        let x = row(c.p_in_a);
-        for i in 0..3 {
-            for j in 0..3 {
-                normal[i][j] += w * x[i] * x[j];
-            }
-            for k in 0..2 {
-                right[k][i] += w * x[i] * (c.p_in_b[k] - mean_b[k]);
-            }
-        }
-    }
-    let inverse = cholesky_inverse(&normal)?;
-    let solution = right.map(|r| -> [f64; 3] { std::array::from_fn(|i| dot3(&inverse[i], &r)) });
-    let centred = Affine2 {
-        linear: Mat2([
-            [solution[0][0], solution[0][1]],
-            [solution[1][0], solution[1][1]],
-        ]),
-        offset: [solution[0][2], solution[1][2]],
-    };
-    let b_from_a = centred.recentred([-mean_a[0], -mean_a[1]], [-mean_b[0], -mean_b[1]]);
 
     // Sandwich: inverse * (sum w^2 r^2 x x^T) * inverse, with one residual scale for all in units of sigma.
     let (mut residuals, mut meat) = (0.0, [[0.0; 3]; 3]);
     for ((c, &w), &robust) in c.iter().zip(&weights).zip(robust_weights) {
-        let at = b_from_a.apply(c.p_in_a);
-        let r_sq = (at[0] - c.p_in_b[0]).powi(2) + (at[1] - c.p_in_b[1]).powi(2);
-        residuals += w * r_sq;
+        residuals += w * distance_sq(b_from_a.apply(c.p_in_a), c.p_in_b);
         let x = row(c.p_in_a);
         for i in 0..3 {
             for j in 0..3 {
@@ -196,6 +216,49 @@ pub fn fit_affine(c: &[Correspondence], robust_weights: &[f64]) -> Option<Affine
     })
 }
 
+fn weighted(
+    c: &[Correspondence],
+    weights: &[f64],
+) -> impl Iterator<Item = (Vec2, Vec2, f64)> + Clone {
+    c.iter().zip(weights).map(|(c, &w)| (c.p_in_a, c.p_in_b, w))
+}
+
+/// Rounds of reweighting: by then the fit moves less than it is known by far.
+const ROUNDS: usize = 10;
+/// The median of a Rayleigh distributed residual, in sigmas of one coordinate.
+const RAYLEIGH_MEDIAN: f64 = 1.1774;
+/// Where the Cauchy weight is one half, in the same sigmas.
+const CAUCHY_WIDTH: f64 = 2.4;
+
+/// Iteratively reweighted least squares with Cauchy weights; the scale is the median residual, taken anew each time.
+pub fn fit_affine_robust(c: &[Correspondence]) -> Option<AffineFit> {
+    let certainty: Vec<f64> = c.iter().map(|c| 1.0 / (c.sigma * c.sigma)).collect();
+    let mut weights = certainty.clone();
+    let mut robust = vec![1.0; c.len()];
+    let (mut off_sq, mut ranked) = (vec![0.0; c.len()], Vec::new());
+    for _ in 0..ROUNDS {
+        let b_from_a = solve(weighted(c, &weights))?.b_from_a;
+        for ((off_sq, c), certainty) in off_sq.iter_mut().zip(c).zip(&certainty) {
+            *off_sq = distance_sq(b_from_a.apply(c.p_in_a), c.p_in_b) * certainty;
+        }
+        ranked.clone_from(&off_sq);
+        let middle = ranked.len() / 2;
+        let (_, median_sq, _) = ranked.select_nth_unstable_by(middle, f64::total_cmp);
+        let scale_sq = (*median_sq / (RAYLEIGH_MEDIAN * RAYLEIGH_MEDIAN)).max(1e-18);
+        let half_sq = CAUCHY_WIDTH * CAUCHY_WIDTH * scale_sq;
+        for i in 0..c.len() {
+            robust[i] = half_sq / (half_sq + off_sq[i]);
+            weights[i] = robust[i] * certainty[i];
+        }
+    }
+    fit_affine(c, &robust)
+}
+
+fn distance_sq(p: Vec2, q: Vec2) -> f64 {
+    let d = [p[0] - q[0], p[1] - q[1]];
+    d[0] * d[0] + d[1] * d[1]
+}
+
 fn dot3(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
@@ -214,7 +277,7 @@ fn congruence(l: &[[f64; 3]; 3], m: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
 /// Least squares similarity (Umeyama 1991, in the plane closed form). `None` with fewer than two distinct points.
 pub fn fit_similarity(c: &[Correspondence]) -> Option<Similarity> {
     let weights: Vec<f64> = c.iter().map(|c| 1.0 / (c.sigma * c.sigma)).collect();
-    let (mean_a, mean_b, total) = centroids(c, &weights);
+    let (mean_a, mean_b, total) = centroids(weighted(c, &weights));
     if c.len() < 2 || !(total.is_finite() && total > 0.0) {
         return None;
     }
@@ -278,6 +341,24 @@ mod tests {
         assert!(fit.sigma_factor < 1e-9);
         let three = affine_from_3(&[c[0], c[1], c[2]]).unwrap();
         assert!(distance(three, TRUTH.into()) < 1e-8);
+    }
+
+    #[test]
+    fn outliers_hardly_move_the_robust_fit() {
+        let mut rng = SplitMix64::new(4);
+        let mut c = noisy(&mut rng, 200, 0.3);
+        let clean = fit_affine_robust(&c).unwrap().b_from_a;
+        for c in &mut c[..30] {
+            c.p_in_b[0] += 15.0;
+        }
+        let plain = fit_affine(&c, &[1.0; 200]).unwrap().b_from_a;
+        let robust = fit_affine_robust(&c).unwrap().b_from_a;
+        assert!(distance(plain, clean) > 1.5 && distance(robust, clean) < 0.1);
+        let exact = noisy(&mut rng, 12, 0.0);
+        let fit = fit_affine_robust(&exact).unwrap();
+        assert!(distance(fit.b_from_a, TRUTH.into()) < 1e-9);
+        assert_eq!(fit_affine_robust(&exact[..2]), None);
+        assert_eq!(fit_affine_robust(&[]), None);
     }
 
     #[test]

@@ -1,9 +1,8 @@
 //! Locally optimised RANSAC (Chum, Matas, Kittler 2003) with the MSAC cost (Torr, Zisserman 2000). The loop knows no
 //! geometry: a [`Problem`] makes models from samples and measures residuals.
 
-use crate::{
-    Affine2, Correspondence, SplitMix64, affine_from_3, fit_affine, similarity_from_oriented,
-};
+use crate::fit::solve;
+use crate::{Affine2, Correspondence, SplitMix64, affine_from_3, similarity_from_oriented};
 
 /// What the loop needs to know of a problem.
 pub trait Problem {
@@ -24,8 +23,8 @@ pub trait Problem {
     fn minimal(&self, sample: &[usize]) -> Option<Self::Model>;
     /// The model that fits the given data best, if it is a possible one.
     fn refine(&self, inliers: &[usize]) -> Option<Self::Model>;
-    /// Squared residual of one datum, in units of the threshold's square.
-    fn residual_sq(&self, model: &Self::Model, datum: usize) -> f64;
+    /// Squared residuals of the data from `first` on, in units of the threshold's square: as many as `out` holds.
+    fn residuals_sq(&self, model: &Self::Model, first: usize, out: &mut [f64]);
 }
 
 /// How long and how strictly to search.
@@ -84,11 +83,11 @@ pub fn lo_ransac<P: Problem>(problem: &P, options: &RansacOptions) -> Option<Rob
             break;
         };
         samples += 1;
-        let Some(minimal) = problem.minimal(&sample) else {
+        let Some(minimal) = problem.minimal(sample) else {
             continue;
         };
-        let (cost, _) = score(problem, &minimal, slack_sq, false);
-        // Only a minimal model at least as good as any before is worth the local optimisation.
+        let cost = cost(problem, &minimal, slack_sq, best_minimal);
+        // Only a minimal model better than any before is worth the local optimisation.
         if cost >= best_minimal {
             continue;
         }
@@ -113,44 +112,77 @@ fn optimise<P: Problem>(
     threshold: f64,
 ) -> Option<RobustFit<P::Model>> {
     let mut model = minimal;
-    let mut inliers = score(problem, &model, (threshold * problem.slack()).powi(2), true).1;
+    let mut found = inliers(problem, &model, (threshold * problem.slack()).powi(2));
     for factor in [problem.slack(), problem.slack().sqrt(), 1.0, 1.0, 1.0] {
-        model = problem.refine(&inliers)?;
-        let next = score(problem, &model, (threshold * factor).powi(2), true).1;
-        if factor == 1.0 && next == inliers {
+        model = problem.refine(&found)?;
+        let next = inliers(problem, &model, (threshold * factor).powi(2));
+        if factor == 1.0 && next == found {
             break;
         }
-        inliers = next;
+        found = next;
     }
-    let (cost, inliers) = score(problem, &model, threshold * threshold, true);
     Some(RobustFit {
+        cost: cost(problem, &model, threshold * threshold, f64::INFINITY),
         model,
-        inliers,
-        cost,
+        inliers: found,
         samples: 0,
     })
 }
 
-fn score<P: Problem>(
+/// Data looked at together: their residuals stay in the first cache.
+const BLOCK: usize = 128;
+
+/// Calls `see` with the first datum of each block and the block's squared residuals, until it says that it has seen enough.
+fn each_block<P: Problem>(
     problem: &P,
     model: &P::Model,
-    threshold_sq: f64,
-    list: bool,
-) -> (f64, Vec<usize>) {
-    let mut cost = 0.0;
-    let mut inliers = Vec::new();
-    for i in 0..problem.len() {
-        let r_sq = problem.residual_sq(model, i) / threshold_sq;
-        if r_sq <= 1.0 {
-            cost += r_sq;
-            if list {
-                inliers.push(i);
-            }
-        } else {
-            cost += 1.0;
+    mut see: impl FnMut(usize, &[f64]) -> bool,
+) {
+    let mut residuals_sq = [0.0; BLOCK];
+    for first in (0..problem.len()).step_by(BLOCK) {
+        let block = &mut residuals_sq[..BLOCK.min(problem.len() - first)];
+        problem.residuals_sq(model, first, block);
+        if see(first, block) {
+            break;
         }
     }
-    (cost, inliers)
+}
+
+/// The MSAC cost, or something that is at least `enough` when the cost is.
+fn cost<P: Problem>(problem: &P, model: &P::Model, threshold_sq: f64, enough: f64) -> f64 {
+    let per_threshold_sq = 1.0 / threshold_sq;
+    let share = |r_sq: f64| {
+        let share = r_sq * per_threshold_sq;
+        if share < 1.0 { share } else { 1.0 }
+    };
+    let mut cost = 0.0;
+    each_block(problem, model, |_, block| {
+        // Four sums side by side, which processors add at once.
+        let (fours, rest) = block.as_chunks::<4>();
+        let mut sums = [0.0; 4];
+        for four in fours {
+            for k in 0..4 {
+                sums[k] += share(four[k]);
+            }
+        }
+        cost += sums.iter().sum::<f64>() + rest.iter().map(|&r| share(r)).sum::<f64>();
+        cost >= enough
+    });
+    cost
+}
+
+/// The data within the threshold, ascending.
+fn inliers<P: Problem>(problem: &P, model: &P::Model, threshold_sq: f64) -> Vec<usize> {
+    let mut found = Vec::new();
+    each_block(problem, model, |first, block| {
+        let within = block
+            .iter()
+            .enumerate()
+            .filter(|(_, r)| **r <= threshold_sq);
+        found.extend(within.map(|(k, _)| first + k));
+        false
+    });
+    found
 }
 
 fn samples_needed(inlier_share: f64, size: usize, miss_probability: f64) -> usize {
@@ -180,7 +212,7 @@ impl Permutation {
         }
     }
 
-    fn sample(&mut self, size: usize, rng: &mut SplitMix64) -> Option<Vec<usize>> {
+    fn sample(&mut self, size: usize, rng: &mut SplitMix64) -> Option<&[usize]> {
         let n = self.order.len();
         if size == 1 {
             if self.next == n {
@@ -189,38 +221,78 @@ impl Permutation {
             let pick = self.next + rng.below(n - self.next);
             self.order.swap(self.next, pick);
             self.next += 1;
-            return Some(vec![self.order[self.next - 1]]);
+            return Some(&self.order[self.next - 1..self.next]);
         }
         for k in 0..size {
             let pick = k + rng.below(n - k);
             self.order.swap(k, pick);
         }
-        Some(self.order[..size].to_vec())
+        Some(&self.order[..size])
+    }
+}
+
+/// Points in columns, so that residuals are computed side by side. Every correspondence counts alike: sigmas would
+/// favour large keypoints in the search.
+struct Columns {
+    a: [Vec<f64>; 2],
+    b: [Vec<f64>; 2],
+}
+
+impl Columns {
+    fn of(correspondences: &[Correspondence]) -> Self {
+        let column = |of: fn(&Correspondence) -> f64| correspondences.iter().map(of).collect();
+        Self {
+            a: [column(|c| c.p_in_a[0]), column(|c| c.p_in_a[1])],
+            b: [column(|c| c.p_in_b[0]), column(|c| c.p_in_b[1])],
+        }
+    }
+
+    fn residuals_sq(&self, model: &Affine2, first: usize, out: &mut [f64]) {
+        let here = first..first + out.len();
+        let [ax, ay] = self.a.each_ref().map(|v| &v[here.clone()]);
+        let [bx, by] = self.b.each_ref().map(|v| &v[here.clone()]);
+        for (i, out) in out.iter_mut().enumerate() {
+            let q = model.apply([ax[i], ay[i]]);
+            let d = [q[0] - bx[i], q[1] - by[i]];
+            *out = d[0] * d[0] + d[1] * d[1];
+        }
+    }
+
+    fn refine(&self, inliers: &[usize], possible: &dyn Fn(&Affine2) -> bool) -> Option<Affine2> {
+        if inliers.len() < 3 {
+            return None;
+        }
+        let point = |i: usize| {
+            (
+                [self.a[0][i], self.a[1][i]],
+                [self.b[0][i], self.b[1][i]],
+                1.0,
+            )
+        };
+        let fit = solve(inliers.iter().map(|&i| point(i)))?.b_from_a;
+        possible(&fit).then_some(fit)
     }
 }
 
 /// The paper's problem: an affine transform from three correspondences.
 pub struct AffineProblem<'a> {
-    /// The data.
-    pub correspondences: &'a [Correspondence],
-    /// Which transforms are possible at all.
-    pub possible: &'a dyn Fn(&Affine2) -> bool,
+    correspondences: &'a [Correspondence],
+    columns: Columns,
+    possible: &'a dyn Fn(&Affine2) -> bool,
 }
 
-fn residual_sq(model: &Affine2, c: &Correspondence) -> f64 {
-    let q = model.apply(c.p_in_a);
-    let d = [q[0] - c.p_in_b[0], q[1] - c.p_in_b[1]];
-    (d[0] * d[0] + d[1] * d[1]) / (c.sigma * c.sigma)
-}
-
-fn refine(
-    correspondences: &[Correspondence],
-    inliers: &[usize],
-    possible: &dyn Fn(&Affine2) -> bool,
-) -> Option<Affine2> {
-    let chosen: Vec<Correspondence> = inliers.iter().map(|&i| correspondences[i]).collect();
-    let fit = fit_affine(&chosen, &vec![1.0; chosen.len()])?;
-    possible(&fit.b_from_a).then_some(fit.b_from_a)
+impl<'a> AffineProblem<'a> {
+    /// Over `correspondences`, of which the sigmas play no part; `possible` says which transforms can be at all.
+    pub fn new(
+        correspondences: &'a [Correspondence],
+        possible: &'a dyn Fn(&Affine2) -> bool,
+    ) -> Self {
+        Self {
+            correspondences,
+            columns: Columns::of(correspondences),
+            possible,
+        }
+    }
 }
 
 impl Problem for AffineProblem<'_> {
@@ -239,21 +311,35 @@ impl Problem for AffineProblem<'_> {
         affine_from_3(&c).filter(|m| (self.possible)(m))
     }
     fn refine(&self, inliers: &[usize]) -> Option<Affine2> {
-        refine(self.correspondences, inliers, self.possible)
+        self.columns.refine(inliers, self.possible)
     }
-    fn residual_sq(&self, model: &Affine2, datum: usize) -> f64 {
-        residual_sq(model, &self.correspondences[datum])
+    fn residuals_sq(&self, model: &Affine2, first: usize, out: &mut [f64]) {
+        self.columns.residuals_sq(model, first, out);
     }
 }
 
 /// The same transform from single oriented, scaled correspondences: every keypoint match is a hypothesis by itself.
 pub struct OrientedProblem<'a> {
-    /// The data.
-    pub correspondences: &'a [Correspondence],
-    /// Scale in a, scale in b, angle in a (rad), angle in b (rad) of each datum.
-    pub oriented: &'a [[f64; 4]],
-    /// Which transforms are possible at all.
-    pub possible: &'a dyn Fn(&Affine2) -> bool,
+    correspondences: &'a [Correspondence],
+    oriented: &'a [[f64; 4]],
+    columns: Columns,
+    possible: &'a dyn Fn(&Affine2) -> bool,
+}
+
+impl<'a> OrientedProblem<'a> {
+    /// As [`AffineProblem::new`], with the scale in a, scale in b, angle in a (rad) and angle in b (rad) of each datum.
+    pub fn new(
+        correspondences: &'a [Correspondence],
+        oriented: &'a [[f64; 4]],
+        possible: &'a dyn Fn(&Affine2) -> bool,
+    ) -> Self {
+        Self {
+            correspondences,
+            oriented,
+            columns: Columns::of(correspondences),
+            possible,
+        }
+    }
 }
 
 impl Problem for OrientedProblem<'_> {
@@ -274,10 +360,10 @@ impl Problem for OrientedProblem<'_> {
             .map(Affine2::from)
     }
     fn refine(&self, inliers: &[usize]) -> Option<Affine2> {
-        refine(self.correspondences, inliers, self.possible)
+        self.columns.refine(inliers, self.possible)
     }
-    fn residual_sq(&self, model: &Affine2, datum: usize) -> f64 {
-        residual_sq(model, &self.correspondences[datum])
+    fn residuals_sq(&self, model: &Affine2, first: usize, out: &mut [f64]) {
+        self.columns.residuals_sq(model, first, out);
     }
 }
 
@@ -345,10 +431,7 @@ mod tests {
     fn three_point_affine_survives_sixty_percent_outliers() {
         for seed in 0..10 {
             let scene = scene(80, 120, seed);
-            let problem = AffineProblem {
-                correspondences: &scene.correspondences,
-                possible: &|_| true,
-            };
+            let problem = AffineProblem::new(&scene.correspondences, &|_| true);
             check(
                 &scene,
                 &lo_ransac(
@@ -367,11 +450,7 @@ mod tests {
     fn one_oriented_match_survives_ninety_five_percent_outliers() {
         for seed in 0..10 {
             let scene = scene(40, 760, seed);
-            let problem = OrientedProblem {
-                correspondences: &scene.correspondences,
-                oriented: &scene.oriented,
-                possible: &|_| true,
-            };
+            let problem = OrientedProblem::new(&scene.correspondences, &scene.oriented, &|_| true);
             check(
                 &scene,
                 &lo_ransac(
@@ -387,12 +466,34 @@ mod tests {
     }
 
     #[test]
+    fn blocks_add_up_to_the_whole() {
+        for count in [1, 3, 127, 128, 129, 400] {
+            let scene = scene(count, 0, 3);
+            let problem = AffineProblem::new(&scene.correspondences, &|_| true);
+            let off_sq: Vec<f64> = scene
+                .correspondences
+                .iter()
+                .map(|c| {
+                    let q = scene.truth.apply(c.p_in_a);
+                    (q[0] - c.p_in_b[0]).powi(2) + (q[1] - c.p_in_b[1]).powi(2)
+                })
+                .collect();
+            let threshold_sq = 0.15;
+            let whole: f64 = off_sq.iter().map(|r| (r / threshold_sq).min(1.0)).sum();
+            let blocks = cost(&problem, &scene.truth, threshold_sq, f64::INFINITY);
+            assert!((blocks - whole).abs() < 1e-9 * whole, "{count}");
+            // Stopping early never makes a model look better than what it has to beat.
+            let enough = whole / 2.0;
+            assert!(cost(&problem, &scene.truth, threshold_sq, enough) >= enough);
+            let within: Vec<usize> = (0..count).filter(|&i| off_sq[i] <= threshold_sq).collect();
+            assert_eq!(inliers(&problem, &scene.truth, threshold_sq), within);
+        }
+    }
+
+    #[test]
     fn equal_seeds_give_equal_results() {
         let scene = scene(60, 200, 5);
-        let problem = AffineProblem {
-            correspondences: &scene.correspondences,
-            possible: &|_| true,
-        };
+        let problem = AffineProblem::new(&scene.correspondences, &|_| true);
         let options = RansacOptions {
             seed: 11,
             ..Default::default()
@@ -403,15 +504,9 @@ mod tests {
     #[test]
     fn too_few_data_or_nothing_possible_is_none() {
         let scene = scene(10, 0, 1);
-        let problem = AffineProblem {
-            correspondences: &scene.correspondences[..2],
-            possible: &|_| true,
-        };
+        let problem = AffineProblem::new(&scene.correspondences[..2], &|_| true);
         assert!(lo_ransac(&problem, &RansacOptions::default()).is_none());
-        let problem = AffineProblem {
-            correspondences: &scene.correspondences,
-            possible: &|_| false,
-        };
+        let problem = AffineProblem::new(&scene.correspondences, &|_| false);
         assert!(lo_ransac(&problem, &RansacOptions::default()).is_none());
     }
 }

@@ -81,17 +81,19 @@ impl Prior {
     }
 }
 
-/// Whether two keypoints turn as the transform does, and scale as it does.
-pub(crate) fn coherent(view: &Keypoint, target: &Keypoint, transform: &Affine2) -> bool {
-    let Some(angle) = transform.linear.rotation_angle() else {
-        return false;
-    };
+/// The test whether two keypoints turn as `transform` does, and scale as it does. Angles lie in (-pi, pi].
+pub(crate) fn coherence(transform: &Affine2) -> impl Fn(&Keypoint, &Keypoint) -> bool + use<> {
+    // Nothing turns as a mirror does: nothing compares with NaN.
+    let angle = transform.linear.rotation_angle().unwrap_or(f64::NAN);
     let scale = transform.linear.det().sqrt();
-    let turn = wrap(f64::from(target.angle) - f64::from(view.angle) - angle);
-    let ratio = f64::from(target.sigma) / (f64::from(view.sigma) * scale);
-    turn.abs() < KEYPOINT_ANGLE_SLACK_RAD
-        && ratio < KEYPOINT_SCALE_SLACK
-        && ratio > 1.0 / KEYPOINT_SCALE_SLACK
+    move |view, target| {
+        let turn = (f64::from(target.angle) - f64::from(view.angle) - angle).abs();
+        let turn = (turn - TAU).abs().min(turn).min((turn - 2.0 * TAU).abs());
+        let ratio = f64::from(target.sigma) / (f64::from(view.sigma) * scale);
+        turn < KEYPOINT_ANGLE_SLACK_RAD
+            && ratio < KEYPOINT_SCALE_SLACK
+            && ratio > 1.0 / KEYPOINT_SCALE_SLACK
+    }
 }
 
 /// An angle in (-pi, pi].
@@ -187,6 +189,34 @@ mod tests {
                 offset: [0.0; 2]
             }));
         }
+    }
+
+    #[test]
+    fn keypoints_that_turn_and_scale_as_the_transform_are_coherent() {
+        let turned = |angle_rad: f64| {
+            coherence(&Affine2::from(Similarity {
+                scale: 2.0,
+                angle_rad,
+                offset: [0.0; 2],
+            }))
+        };
+        for angle in [-3.1f64, -0.5, 0.0, 2.9] {
+            for view in [-3.1f32, 0.3, 3.1] {
+                let target = wrap(f64::from(view) + angle) as f32;
+                assert!(turned(angle)(&keypoint(2.0, view), &keypoint(4.5, target)));
+                let off = wrap(f64::from(view) + angle + 0.5) as f32;
+                assert!(!turned(angle)(&keypoint(2.0, view), &keypoint(4.5, off)));
+                assert!(!turned(angle)(&keypoint(2.0, view), &keypoint(2.0, target)));
+            }
+        }
+        let mirror = Affine2 {
+            linear: Mat2::diagonal(1.0, -1.0),
+            offset: [0.0; 2],
+        };
+        assert!(!coherence(&mirror)(
+            &keypoint(2.0, 0.0),
+            &keypoint(2.0, 0.0)
+        ));
     }
 
     #[test]

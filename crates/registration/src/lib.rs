@@ -11,4 +11,4 @@ mod register;
 pub mod significance;
 
 pub use correspond::{Prior, RotationPrior, ScalePrior, correspondences};
-pub use register::{Estimate, Method, NotFound, Options, Registration, register};
+pub use register::{Estimate, Method, NotFound, Options, Registration, register, register_matches};

@@ -3,7 +3,7 @@
 use crate::event::tell;
 use crate::{Event, FrameRole, ServoError, Sink};
 use scopeservo_scope::{Frame, Instrument, ObjectiveId};
-use scopeservo_sift::{Features, GrayImage, detect_and_describe};
+use scopeservo_sift::{Features, GrayImage, Simd, detect_and_describe};
 use serde::{Deserialize, Serialize};
 
 /// Feature budgets and registration settings of a run.
@@ -40,16 +40,16 @@ impl Default for VisionOptions {
 pub struct Engine {
     /// Name and version.
     pub name: String,
-    /// CPU level of its kernels.
+    /// CPU level of its kernels: scalar, avx2, avx512 or neon.
     pub cpu_level: String,
 }
 
 impl Engine {
-    /// The engine of this build.
+    /// The engine of this build on this processor.
     pub fn current() -> Self {
         Self {
             name: format!("scopeservo-sift {}", env!("CARGO_PKG_VERSION")),
-            cpu_level: "scalar".into(),
+            cpu_level: Simd::best().level().to_string(),
         }
     }
 }

@@ -49,7 +49,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 }) else {
                     continue;
                 };
-                let [few, many] = [4000, 8000].map(|max_features| scopeservo_sift::Options {
+                let [few, many] = [2000, 8000].map(|max_features| scopeservo_sift::Options {
                     max_features,
                     ..Default::default()
                 });
