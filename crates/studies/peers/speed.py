@@ -344,7 +344,7 @@ class Comparison:
         mine = rounds(self.ours.name, piece.measure)
         candidates = {s: rounds(s, asked) for s in sorted(kept) if (s, asked) in times}
         peer = min(candidates, key=lambda s: median(candidates[s]) or math.inf)
-                ours, theirs = median(mine), median(candidates[peer])
+        ours, theirs = median(mine), median(candidates[peer])
         fault = failed.get(piece.group)
         known = ours and theirs and not fault
         ratios = [b / a for a, b in zip(mine, candidates[peer]) if a and b]
