@@ -413,6 +413,8 @@ def build_sift_features(cache: Path) -> Path:
 def images(worker: Worker, folder: Path | None, sizes: list[tuple[int, int]], quick: bool, cache: Path) -> list[Image]:
     """Crops of the known slides, or every picture of a folder as it is, each with a turned and shifted target."""
     if folder is not None:
+        if not folder.is_dir():
+            raise Problem(f"{folder} is not a folder.")
         files = sorted(f for f in folder.iterdir() if f.suffix.lower() in (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".svs"))
         wanted = [(f.stem, f, None, 1.0) for f in files[: 1 if quick else None]]
         if not wanted:
@@ -582,12 +584,14 @@ def others(ours: Side, cache: Path, image: Image, workers: list[Worker]) -> list
 
 def arguments() -> argparse.Namespace:
     def size(text: str) -> tuple[int, int]:
-        w, _, h = text.partition("x")
-        return int(w), int(h)
+        w, h = (int(n) for n in text.split("x"))
+        if min(w, h) < 64:
+            raise argparse.ArgumentTypeError(f"{text} is too small, 64x64 is the least")
+        return w, h
 
     names = sorted({p.group for p in PIECES} | {p.name for p in PIECES})
     parser = argparse.ArgumentParser(description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one small image, few rounds, under two minutes; fails on a wrong answer, never on a time")
+    parser.add_argument("--quick", action="store_true", help="the smallest size, OpenCV 4 alone, few rounds, under two minutes; fails on a wrong answer, never on a time")
     parser.add_argument("--images", type=Path, metavar="FOLDER", help="pictures to use as they are, in place of crops of the slides")
     parser.add_argument("--sizes", type=size, nargs="+", metavar="WxH", default=SIZES, help="sizes of the crops (640x480 1280x1024 2448x2048)")
     parser.add_argument("--rounds", type=int, help="counted rounds (5; 2 with --quick)")
@@ -595,9 +599,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--no-extra-peers", action="store_true", help="OpenCV alone")
     parser.add_argument("--write", type=Path, metavar="FILE", help="write the table there too")
     given = parser.parse_args()
-    given.rounds = given.rounds or (2 if given.quick else 5)
+    if given.rounds is None:
+        given.rounds = 2 if given.quick else 5
     if given.rounds < 1:
         parser.error("--rounds must be at least 1")
+    if given.write and not given.write.resolve().parent.is_dir():
+        parser.error(f"the folder of {given.write} is not there")
     return given
 
 
@@ -611,7 +618,7 @@ def run(given: argparse.Namespace, workers: list[Worker]) -> int:
         return workers[-1]
 
     ours = Side("ours", start([build(target)], "ours.log"), {})
-    sizes = given.sizes[:1] if given.quick else given.sizes
+    sizes = [min(given.sizes)] if given.quick else given.sizes
     pictures = images(ours.worker, given.images, sizes, given.quick, cache)
     peers = []
     for name in ["opencv4"] if given.quick else ["opencv4", "opencv5"]:
@@ -662,6 +669,9 @@ def main() -> int:
         return run(given, workers)
     except Problem as problem:
         say(f"speed.py: {problem}")
+        return 2
+    except OSError as error:
+        say(f"speed.py: {error}")
         return 2
     except KeyboardInterrupt:
         say("speed.py: interrupted")
