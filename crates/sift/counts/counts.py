@@ -3,6 +3,9 @@
 
 Needs cargo and valgrind on Linux, x86-64. Callgrind knows AVX2 but not AVX-512.
 
+A script and not gungraun: that brings 30 packages into the benches and 200 into a runner to be installed at the same version,
+and keeps its baselines in the target folder, where a record that is committed and renewed by one command is wanted.
+
   python3 crates/sift/counts/counts.py            compare, 5 % either way
   python3 crates/sift/counts/counts.py --renew    record the present counts
 """

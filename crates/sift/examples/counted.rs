@@ -1,6 +1,7 @@
 //! Work whose instructions are counted: `counted LEVEL PIECE`, with `scalar` or `avx2`, and `describe` or `match`.
 //!
 //! `python3 crates/sift/counts/counts.py` runs it under callgrind, which counts only what happens inside [`counted`].
+//! The matcher takes no level and has one of its own choice.
 
 use std::hint::black_box;
 
