@@ -13,6 +13,7 @@ use scopeservo_slide::Slide;
 use scopeservo_studies::warp::Source;
 use serde_json::{Value, json};
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::error::Error;
 use std::fs;
 use std::hint::black_box;
@@ -258,11 +259,10 @@ fn pool<'a>(
     request: &Value,
 ) -> Result<&'a ThreadPool, Box<dyn Error>> {
     let threads = request["threads"].as_u64().unwrap_or(1) as usize;
-    if !pools.contains_key(&threads) {
-        let pool = ThreadPoolBuilder::new().num_threads(threads).build()?;
-        pools.insert(threads, pool);
-    }
-    Ok(&pools[&threads])
+    Ok(match pools.entry(threads) {
+        Entry::Occupied(pool) => pool.into_mut(),
+        Entry::Vacant(none) => none.insert(ThreadPoolBuilder::new().num_threads(threads).build()?),
+    })
 }
 
 fn image<'a>(

@@ -33,6 +33,8 @@ def sift(most: int, precise: bool, contrast: float = 0.04) -> cv2.SIFT:
 def described(path: str, most: int, precise: bool) -> tuple[np.ndarray, np.ndarray]:
     """Places and descriptors, the strongest first."""
     keypoints, descriptors = sift(most, precise).detectAndCompute(image(path), None)
+    if descriptors is None:
+        return np.empty((0, 2), np.float32), np.empty((0, 128), np.float32)
     order = np.argsort([-k.response for k in keypoints], kind="stable")
     return cv2.KeyPoint_convert(keypoints)[order], descriptors[order]
 
@@ -48,7 +50,7 @@ def repeat(request: Request, work: Callable[[], object]) -> tuple[list[float], o
 
 def affine(view: np.ndarray, target: tuple[np.ndarray, np.ndarray], engine: cv2.SIFT, matcher: cv2.DescriptorMatcher):
     keypoints, descriptors = engine.detectAndCompute(view, None)
-    pairs = matcher.knnMatch(descriptors, target[1], k=2)
+    pairs = [] if descriptors is None else matcher.knnMatch(descriptors, target[1], k=2)
     good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < 0.8 * p[1].distance]
     if len(good) < 3:
         return None, 0

@@ -255,7 +255,9 @@ class Comparison:
         """One image on so many threads: warm-up with the checks, then the rounds."""
         label = f"{image.name} {image.size[0]}x{image.size[1]}, {threads} thread{'s' * (threads > 1)}"
         say(f"{label}: warm-up and checks")
-        plan = self.plan(pieces)
+        # What is found is checked even when only a part of the finding is timed.
+        whole = [p for p in PIECES if p.name == "whole-best" and pieces[0].group not in PAIRS]
+        plan = self.plan([*pieces, *whole])
         times: Times = collections.defaultdict(list)
         first: dict[tuple[str, str], Json] = {}
         for side, measure in plan:
@@ -263,7 +265,7 @@ class Comparison:
             times[side.name, measure].append(min(reply["ms"]))
         failed = self.check(label, image, first)
         kept = self.fastest(times)
-        plan = [(s, m) for s, m in plan if s is self.ours or s.name in kept]
+        plan = [(s, m) for s, m in self.plan(pieces) if s is self.ours or s.name in kept]
         for number in range(1, self.rounds + 1):
             say(f"{label}: round {number} of {self.rounds}")
             for measure in REQUESTS:
@@ -297,6 +299,9 @@ class Comparison:
                 self.failures.append(f"{label}: {text}")
                 failed.update(dict.fromkeys(groups, text))
 
+        scans = [first[key]["count"] for key in first if key[1] == "scan"]
+        if any(scans):
+            note(False, f"a scan that is to find nothing found {max(scans)}", ["scan", "refine"])
         for measure in ("detect_all", "describe_all", "detect_best", "describe_best"):
             if (self.ours.name, measure) not in first:
                 continue
