@@ -531,13 +531,13 @@ orientations are more. Counts are ours / theirs (affine: inliers; match: accepte
 difference of the two times is too small to be told from noise."""
 
 
-def document(comparison: Comparison, extras: list[list[str]], versions: str) -> str:
+def document(comparison: Comparison, extras: list[list[str]], versions: str, built_from: str) -> str:
     load = f"; load average at the end {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
     stamp = datetime.datetime.now().astimezone().strftime("%Y-%m-%d")
     parts = [
         "# SIFT against its peers",
         f"`{shlex.join(['python3', os.path.relpath(__file__, ROOT), *sys.argv[1:]])}`",
-        f"- date: {stamp}\n- machine: {machine()}; our level: {comparison.level}{load}\n- commit: {commit()}\n- versions: {versions}\n"
+        f"- date: {stamp}\n- machine: {machine()}; our level: {comparison.level}{load}\n- commit: {built_from}\n- versions: {versions}\n"
         f"- rounds: {comparison.rounds}",
         "## Against what was demanded",
         summary(comparison.rows),
@@ -615,6 +615,8 @@ def arguments() -> argparse.Namespace:
 
 def run(given: argparse.Namespace, workers: list[Worker]) -> int:
     target = target_folder()
+    # Named now: the sources may change while the run goes on.
+    built_from = commit()
     cache = target / "speed"
     cache.mkdir(parents=True, exist_ok=True)
 
@@ -654,7 +656,7 @@ def run(given: argparse.Namespace, workers: list[Worker]) -> int:
     versions = f"scopeservo-sift {ours.worker.hello['version']}, "
     versions += ", ".join(dict.fromkeys(f"OpenCV {s.worker.hello['version']}" for s in peers))
     versions += f", {command(['rustc', '--version'], 'naming the compiler').strip()}, Python {platform.python_version()}"
-    text = document(comparison, extras, versions)
+    text = document(comparison, extras, versions, built_from)
     print(text)
     if given.write:
         given.write.write_text(text)
