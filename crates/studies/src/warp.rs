@@ -63,10 +63,20 @@ impl Source {
         sum
     }
 
-    /// A picture whose pixel p shows the source at `source_from_pixel(p)`, integrated over the pixel's area, with
-    /// Gaussian noise and 8-bit rounding as a camera has.
+    /// A picture of [`SIZE`] whose pixel p shows the source at `source_from_pixel(p)`, integrated over the pixel's area,
+    /// with Gaussian noise and 8-bit rounding as a camera has.
     pub fn render(&self, source_from_pixel: &Affine2, noise: f64, seed: u64) -> GrayImage {
-        let [w, h] = SIZE;
+        self.render_sized(SIZE, source_from_pixel, noise, seed)
+    }
+
+    /// As [`render`](Self::render), of any size.
+    pub fn render_sized(
+        &self,
+        [w, h]: [usize; 2],
+        source_from_pixel: &Affine2,
+        noise: f64,
+        seed: u64,
+    ) -> GrayImage {
         let pitch = source_from_pixel.linear.det().abs().sqrt();
         let sub = (pitch * 1.5).ceil().max(2.0) as usize;
         let mut data = vec![0.0f32; w * h];
