@@ -266,7 +266,7 @@ def main() -> None:
     if args.pair:
         scene = renderer.scene(scene_of(args.pair))
         for row in results(scene, renderer.size, lambda pair, _: pair == args.pair):
-            print(json.dumps(row))
+            print(json.dumps({"set": renderer.set, **row}))
     elif args.out:
         share, shares = (int(n) for n in args.part.split("/"))
         run(renderer, args.out, args.per_cell, (share - 1, shares))

@@ -165,6 +165,8 @@ impl Slides {
 pub struct Scene {
     /// Which one.
     pub id: SceneId,
+    /// The set it belongs to.
+    pub set: String,
     /// The target's frame.
     pub target: Vec<u8>,
     /// The truth: target pixel from view pixel.
@@ -180,6 +182,7 @@ impl Scene {
     /// # Panics
     /// When the source is too small, or has no texture at any of a thousand places.
     pub fn render(id: SceneId, source: &Source, seed: u64) -> Self {
+        let set = set_name(seed);
         let seed = mixed(&[seed, id.zoom as u64, id.index as u64]);
         let mut rng = SplitMix64::new(seed);
         let target_pitch = id.target_pitch();
@@ -191,6 +194,7 @@ impl Scene {
         let target_from_source = target.inverse().expect("a scaled rotation is regular");
         Self {
             id,
+            set,
             target: Degradation::NONE.frame(&source.integrate(&target), &mut rng),
             target_from_view: target_from_source.after(&view),
             clean_view: source.integrate(&view),
