@@ -1,7 +1,7 @@
-"""OpenCV's SIFT, ORB, AKAZE and BRISK on the pairs of the accuracy study; see docs/sift-accuracy.md.
+"""OpenCV's SIFT, ORB, AKAZE and BRISK on the pairs of the accuracy study.
 
-Asks the renderer (`accuracy serve`) for scenes and appends one line of JSON per pair and method to a file. A rerun skips
-what is there.
+See docs/sift-accuracy.md. Asks the renderer (`accuracy serve`) for scenes and appends one line of
+JSON per pair and method to a file. A rerun skips what is there.
 """
 
 from __future__ import annotations
@@ -55,20 +55,20 @@ class Method:
 
     detector: cv2.Feature2D
     norm: int
-    # BRISK finds far more corners than are kept: describing only the kept ones gives the same descriptors sooner.
+    # BRISK finds far more corners than are kept: describing only those gives the same, sooner.
     cut_before_describing: bool = False
 
     def features(self, frame: Frame) -> Features:
         start = time.perf_counter()
         if self.cut_before_describing:
-            keypoints = strongest(self.detector.detect(frame, None))
-            keypoints, descriptors = self.detector.compute(frame, keypoints)
+            best = strongest(self.detector.detect(frame, None))
+            keypoints, descriptors = self.detector.compute(frame, best)
         else:
             keypoints, descriptors = self.detector.detectAndCompute(frame, None)
-            if len(keypoints) > FEATURES:
-                order = np.argsort([-k.response for k in keypoints], kind="stable")[:FEATURES]
-                keypoints = [keypoints[i] for i in order]
-                descriptors = descriptors[order]
+        if len(keypoints) > FEATURES:
+            order = np.argsort([-k.response for k in keypoints], kind="stable")[:FEATURES]
+            keypoints = [keypoints[i] for i in order]
+            descriptors = descriptors[order]
         points = np.array([k.pt for k in keypoints], np.float32).reshape(-1, 2)
         return Features(points, descriptors, 1e3 * (time.perf_counter() - start))
 
@@ -79,15 +79,14 @@ def strongest(keypoints: Sequence[cv2.KeyPoint]) -> list[cv2.KeyPoint]:
 
 def methods() -> dict[str, Method]:
     """The peers, by the names of the tables."""
-    sift: Callable[..., cv2.Feature2D] = cv2.SIFT_create
     return {
-        "opencv_sift": Method(sift(nfeatures=FEATURES), cv2.NORM_L2),
+        "opencv_sift": Method(cv2.SIFT.create(nfeatures=FEATURES), cv2.NORM_L2),
         "opencv_sift_precise": Method(
-            sift(nfeatures=FEATURES, enable_precise_upscale=True), cv2.NORM_L2
+            cv2.SIFT.create(nfeatures=FEATURES, enable_precise_upscale=True), cv2.NORM_L2
         ),
-        "opencv_orb": Method(cv2.ORB_create(nfeatures=FEATURES), cv2.NORM_HAMMING),
-        "opencv_akaze": Method(cv2.AKAZE_create(), cv2.NORM_HAMMING),
-        "opencv_brisk": Method(cv2.BRISK_create(), cv2.NORM_HAMMING, cut_before_describing=True),
+        "opencv_orb": Method(cv2.ORB.create(nfeatures=FEATURES), cv2.NORM_HAMMING),
+        "opencv_akaze": Method(cv2.AKAZE.create(), cv2.NORM_HAMMING),
+        "opencv_brisk": Method(cv2.BRISK.create(), cv2.NORM_HAMMING, cut_before_describing=True),
     }
 
 
@@ -122,11 +121,12 @@ def register(view: Features, target: Features, norm: int) -> Answer:
     )
     if transform is None or not np.isfinite(transform).all():
         return answer(None, len(good), 0)
-    return answer(transform, len(good), int(inliers.sum()))
+    return answer(transform.astype(np.float64), len(good), int(inliers.sum()))
 
 
 def corner_error_px(estimate: Matrix, truth: Matrix, size: tuple[int, int]) -> float:
-    """Mean distance, in target pixels, of the target's corners from where the estimate puts what is truly there."""
+    """Mean distance, in target pixels, of the target's corners from where the estimate puts what is
+    truly there."""
     w, h = size[0] - 1.0, size[1] - 1.0
     corners = np.array([[0, 0], [w, 0], [0, h], [w, h]])
     in_view = np.linalg.solve(truth[:, :2], (corners - truth[:, 2]).T)

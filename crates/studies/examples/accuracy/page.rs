@@ -46,6 +46,7 @@ pub(crate) fn run(args: &TableArgs, seed: u64) -> Outcome<()> {
         .replace("{SET}", &set)
         .replace("{LEGEND}", table::legend().trim_end())
         .replace("{SUMMARY}", table::summary(&methods).trim_end())
+        .replace("{FAST}", table::fast_modes(&methods).trim_end())
         .replace("{AIMS}", table::aims(&methods).trim_end())
         .replace("{TABLE_ONE}", table::table_one(&methods).trim_end())
         .replace(

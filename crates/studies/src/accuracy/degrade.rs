@@ -188,3 +188,139 @@ fn blurred(picture: &[f64], sigma_px: f64) -> Vec<f64> {
     }
     both
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const N: usize = SIZE[0] * SIZE[1];
+
+    fn drawn(condition: Condition, seed: u64) -> Degradation {
+        let common = |rng: &mut SplitMix64| SIZE.map(|n| rng.uniform() * (n as f64 - 1.0));
+        Degradation::draw(condition, &mut SplitMix64::new(seed), common)
+    }
+
+    fn mean_and_sd(values: &[f64]) -> (f64, f64) {
+        let n = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / n;
+        let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n;
+        (mean, variance.sqrt())
+    }
+
+    fn levels(d: &Degradation, clean: &[f64]) -> Vec<f64> {
+        let frame = d.frame(clean, &mut SplitMix64::new(5));
+        frame.into_iter().map(f64::from).collect()
+    }
+
+    #[test]
+    fn each_condition_does_what_it_is_called_and_nothing_else() {
+        for seed in 0..50 {
+            let is = |condition, d: Degradation| assert_eq!(drawn(condition, seed), d);
+            let none = Degradation::NONE;
+            is(Condition::Clean, none.clone());
+            is(
+                Condition::Minus80,
+                Degradation {
+                    offset: -80.0,
+                    ..none.clone()
+                },
+            );
+            is(
+                Condition::Times08,
+                Degradation {
+                    gain: 0.8,
+                    ..none.clone()
+                },
+            );
+            let blur = drawn(Condition::Blur, seed);
+            assert!((1.0..3.0).contains(&blur.blur_sigma_px));
+            let noise = drawn(Condition::Noise, seed);
+            assert!((5.0..15.0).contains(&noise.noise_sigma));
+            let gamma = drawn(Condition::Gamma, seed);
+            assert!((2.0 / 3.0..1.5).contains(&gamma.gamma));
+            let all = drawn(Condition::All, seed);
+            assert!(all.blur_sigma_px >= 1.0 && all.noise_sigma >= 5.0 && all.gamma != 1.0);
+            assert!(all.gain == 0.8 && all.offset == -80.0 && all.occluder.is_some());
+        }
+    }
+
+    #[test]
+    fn the_square_hides_120_by_120_pixels_around_its_point() {
+        for point in [[300.2, 200.7], [0.0, 0.0], [639.0, 479.0]] {
+            let mut rng = SplitMix64::new(1);
+            let d = Degradation::draw(Condition::Occlusion, &mut rng, |_| point);
+            let quiet = Degradation {
+                noise_sigma: 0.0,
+                ..d
+            };
+            let frame = quiet.frame(&vec![0.0; N], &mut rng);
+            let hidden: Vec<usize> = (0..N).filter(|i| frame[*i] == 128).collect();
+            assert_eq!(hidden.len(), 120 * 120);
+            assert!((0..N).all(|i| frame[i] == 128 || frame[i] == 0));
+            let [x, y] = [hidden[0] % SIZE[0], hidden[0] / SIZE[0]];
+            let inside = |corner: usize, p: f64| (0.0..120.0).contains(&(p - corner as f64));
+            assert!(inside(x, point[0]) && inside(y, point[1]));
+        }
+    }
+
+    #[test]
+    fn noise_has_the_sigma_it_says() {
+        for sigma in [2.0, 5.0, 15.0] {
+            let d = Degradation {
+                noise_sigma: sigma,
+                ..Degradation::NONE
+            };
+            let (mean, sd) = mean_and_sd(&levels(&d, &vec![0.5; N]));
+            // Rounding to whole levels adds a twelfth to the variance.
+            let expected = (sigma * sigma + 1.0 / 12.0).sqrt();
+            assert!((mean - 127.5).abs() < 0.1, "{mean}");
+            assert!((sd / expected - 1.0).abs() < 0.01, "{sd}");
+        }
+    }
+
+    #[test]
+    fn light_changes_by_what_it_says() {
+        let quiet = Degradation {
+            noise_sigma: 0.0,
+            ..Degradation::NONE
+        };
+        let level = |d: Degradation, grey: f64| levels(&d, &vec![grey / 255.0; N])[0];
+        let minus80 = Degradation {
+            offset: -80.0,
+            ..quiet.clone()
+        };
+        assert_eq!(level(minus80.clone(), 200.0), 120.0);
+        assert_eq!(level(minus80, 60.0), 0.0);
+        let dimmer = Degradation {
+            gain: 0.8,
+            ..quiet.clone()
+        };
+        assert_eq!(level(dimmer, 200.0), 160.0);
+        let gamma = Degradation {
+            gamma: 1.5,
+            ..quiet
+        };
+        assert_eq!(
+            level(gamma, 100.0),
+            (255.0 * (100.0_f64 / 255.0).powf(1.5)).round()
+        );
+    }
+
+    #[test]
+    fn blur_spreads_a_dot_by_its_sigma_and_keeps_its_light() {
+        let mut clean = vec![0.0; N];
+        clean[200 * SIZE[0] + 300] = 1.0;
+        for sigma in [1.0, 2.2, 3.0] {
+            let out = blurred(&clean, sigma);
+            let (mut light, mut spread) = (0.0, 0.0);
+            for (i, v) in out.iter().enumerate() {
+                light += v;
+                spread += v * ((i % SIZE[0]) as f64 - 300.0).powi(2);
+            }
+            assert!((light - 1.0).abs() < 1e-9);
+            assert!((spread.sqrt() / sigma - 1.0).abs() < 0.01, "{spread}");
+        }
+        let even = blurred(&vec![0.4; N], 3.0);
+        assert!(even.iter().all(|v| (v - 0.4).abs() < 1e-9));
+    }
+}

@@ -6,6 +6,7 @@ use super::scenes::{PairId, Scene};
 use scopeservo_registration::{NotFound, Options, Prior, register};
 use scopeservo_sift::{Features, GrayImage, Sift, SiftError};
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::time::Instant;
 
 /// Detector settings that differ between rows.
@@ -144,22 +145,29 @@ impl Setting {
 struct Engines(BTreeMap<Look, Sift>);
 
 impl Engines {
-    fn features(&mut self, image: &GrayImage, look: Look) -> Result<Timed, SiftError> {
-        if !self.0.contains_key(&look) {
-            let options = scopeservo_sift::Options {
+    /// Features of an image, looked up in `seen` or found and put there.
+    fn features<'a>(
+        &mut self,
+        seen: &'a mut BTreeMap<Look, Timed>,
+        image: &GrayImage,
+        look: Look,
+    ) -> Result<&'a Timed, SiftError> {
+        let slot = match seen.entry(look) {
+            Entry::Occupied(there) => return Ok(there.into_mut()),
+            Entry::Vacant(slot) => slot,
+        };
+        let engine = match self.0.entry(look) {
+            Entry::Occupied(there) => there.into_mut(),
+            Entry::Vacant(slot) => slot.insert(Sift::new(scopeservo_sift::Options {
                 max_features: look.max_features,
                 first_octave: look.first_octave,
                 ..Default::default()
-            };
-            self.0.insert(look, Sift::new(options)?);
-        }
-        let engine = self.0.get_mut(&look).expect("it was put there");
+            })?),
+        };
         let start = Instant::now();
         let features = engine.detect_and_describe(image);
-        Ok(Timed {
-            features,
-            ms: ms_since(start),
-        })
+        let ms = ms_since(start);
+        Ok(slot.insert(Timed { features, ms }))
     }
 }
 
@@ -190,6 +198,7 @@ impl Runner {
         wanted: impl Fn(PairId, &Setting) -> bool,
         peer: impl Fn(PairId) -> Option<[usize; 2]>,
     ) -> Result<Vec<Row>, SiftError> {
+        let engines = &mut self.engines;
         let mut rows = Vec::new();
         let mut targets: BTreeMap<Look, Timed> = BTreeMap::new();
         for condition in Condition::EACH {
@@ -218,14 +227,10 @@ impl Runner {
             let mut views: BTreeMap<Look, Timed> = BTreeMap::new();
             for (setting, keep) in tasks {
                 let (of_view, of_target) = (setting.view, (setting.target)(scene.id.zoom));
-                if !views.contains_key(&of_view) {
-                    views.insert(of_view, self.engines.features(&pair.view, of_view)?);
-                }
-                if !targets.contains_key(&of_target) {
-                    targets.insert(of_target, self.engines.features(&pair.target, of_target)?);
-                }
-                let view = first(&views[&of_view].features, keep[0]);
-                let target = first(&targets[&of_target].features, keep[1]);
+                let seen = engines.features(&mut views, &pair.view, of_view)?;
+                let (view, features_ms) = (first(&seen.features, keep[0]), seen.ms);
+                let seen = engines.features(&mut targets, &pair.target, of_target)?;
+                let target = first(&seen.features, keep[1]);
                 let prior = match setting.scale_known {
                     true => pair.prior(),
                     false => Prior::default(),
@@ -245,7 +250,7 @@ impl Runner {
                     inliers: answer.inliers,
                     matches: answer.matches,
                     features: [view.len(), target.len()],
-                    features_ms: views[&of_view].ms,
+                    features_ms,
                     register_ms,
                     reason: answer.outcome.as_ref().err().map(code),
                     claimed_px: found.map(|f| f.corner_sigma_px),

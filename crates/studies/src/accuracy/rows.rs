@@ -53,6 +53,15 @@ impl Row {
             .unwrap_or(f64::INFINITY)
     }
 
+    /// Whether it gave a transform that is no success and lies more than three of its own standard deviations off, where it
+    /// states one.
+    pub fn misleading(&self) -> bool {
+        let error_px = self.error_or_infinite();
+        error_px.is_finite()
+            && error_px >= SUCCESS_PX
+            && self.claimed_px.is_none_or(|sigma| error_px > 3.0 * sigma)
+    }
+
     /// Whether it found the right place.
     pub fn success(&self) -> bool {
         self.error_or_infinite() < SUCCESS_PX
@@ -163,5 +172,16 @@ pub(crate) mod tests {
         assert!(row("1-clean-000", "a", 2.9).success());
         assert!(!row("1-clean-000", "a", 3.1).success());
         assert!(!row("1-clean-000", "a", f64::INFINITY).success());
+    }
+
+    #[test]
+    fn a_rough_answer_that_says_so_does_not_mislead() {
+        let said = |error_px: f64, claimed_px: Option<f64>| {
+            let row = row("1-clean-000", "a", error_px);
+            Row { claimed_px, ..row }.misleading()
+        };
+        assert!(said(8.0, None) && said(8.0, Some(2.0)));
+        assert!(!said(8.0, Some(4.0)) && !said(2.0, Some(0.1)));
+        assert!(!said(f64::INFINITY, None));
     }
 }

@@ -305,3 +305,93 @@ fn gray(frame: &[u8]) -> GrayImage {
     let data = frame.iter().map(|v| f32::from(*v) / 255.0).collect();
     GrayImage::new(SIZE[0], SIZE[1], data).expect("a frame is finite and not empty")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Waves of several lengths: texture everywhere.
+    fn source() -> Source {
+        let (width, height) = (2600, 1960);
+        let data = (0..width * height)
+            .map(|i| {
+                let (x, y) = ((i % width) as f32, (i / width) as f32);
+                0.5 + 0.2 * (0.11 * x + 0.07 * y).sin() + 0.2 * (0.05 * x).cos() * (0.09 * y).sin()
+            })
+            .collect();
+        Source {
+            width,
+            height,
+            data,
+        }
+    }
+
+    #[test]
+    fn names_are_read_as_they_are_written() {
+        for zoom in ZOOMS {
+            for condition in Condition::EACH {
+                let scene = SceneId { zoom, index: 17 };
+                let id = PairId { scene, condition };
+                assert_eq!(PairId::parse(&id.to_string()), Some(id));
+                assert_eq!(SceneId::parse(&scene.to_string()), Some(scene));
+            }
+        }
+        assert_eq!(PairId::parse("3-clean-001"), None);
+        assert_eq!(PairId::parse("1-dusty-001"), None);
+    }
+
+    #[test]
+    fn a_pair_is_a_function_of_seed_cell_and_number() {
+        let source = source();
+        let id = SceneId { zoom: 4, index: 3 };
+        let (a, b) = (Scene::render(id, &source, 1), Scene::render(id, &source, 1));
+        assert!(a.target == b.target && a.target_from_view == b.target_from_view);
+        let (all, clean) = (a.view(Condition::All), a.view(Condition::Clean));
+        // Whatever else was asked for before.
+        assert_eq!(b.view(Condition::Clean), clean);
+        assert_eq!(b.view(Condition::All), all);
+        assert_eq!(a.checksum(&all.1), b.checksum(&all.1));
+        assert_ne!(a.checksum(&all.1), a.checksum(&clean.1));
+        let other = Scene::render(id, &source, 2);
+        assert_ne!(a.target_from_view, other.target_from_view);
+        let next = Scene::render(SceneId { index: 4, ..id }, &source, 1);
+        assert_ne!(a.target_from_view, next.target_from_view);
+    }
+
+    #[test]
+    fn a_smaller_target_lies_inside_the_view_and_has_the_zoom() {
+        let source = source();
+        for (zoom, index) in [(2, 0), (2, 1), (2, 2), (4, 0), (4, 1), (4, 2)] {
+            let scene = Scene::render(SceneId { zoom, index }, &source, 7);
+            let scale = scene.target_from_view.linear.det().sqrt();
+            assert!((scale - zoom as f64).abs() < 1e-9);
+            let back = scene.target_from_view.inverse().unwrap();
+            let [w, h] = SIZE.map(|n| n as f64 - 1.0);
+            for corner in [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]] {
+                let p = back.apply(corner);
+                assert!((0.0..=w).contains(&p[0]) && (0.0..=h).contains(&p[1]));
+            }
+        }
+    }
+
+    #[test]
+    fn view_and_target_show_the_same_where_the_truth_says() {
+        let scene = Scene::render(SceneId { zoom: 1, index: 0 }, &source(), 1);
+        let pair = scene.pair(&scene.view(Condition::Clean).1);
+        let (mut sum_sq, mut n) = (0.0, 0.0);
+        for y in (40..440).step_by(7) {
+            for x in (40..600).step_by(7) {
+                let p = pair.target_from_view.apply([x as f64, y as f64]);
+                let [px, py] = p.map(|v| v.round());
+                if !(0.0..640.0).contains(&px) || !(0.0..480.0).contains(&py) {
+                    continue;
+                }
+                let target = pair.target.get(px as usize, py as usize);
+                sum_sq += f64::from(pair.view.get(x, y) - target).powi(2);
+                n += 1.0;
+            }
+        }
+        // Two noises of 2 levels, and up to half a pixel of slope for want of interpolation; unrelated waves differ by 0.25.
+        assert!((sum_sq / n).sqrt() < 0.03, "{}", (sum_sq / n).sqrt());
+    }
+}

@@ -84,8 +84,9 @@ struct Figures {
     p90_px: f64,
     /// The farthest answer that it gave.
     worst_px: f64,
-    /// Answers that were wrong.
-    wrong: usize,
+    /// Answers that were 3 px off or more, and those among them that misled.
+    rough: usize,
+    misleading: usize,
     inliers: f64,
     features: [f64; 2],
 }
@@ -105,7 +106,8 @@ impl Figures {
             median_px: middle(errors.clone()),
             p90_px: quantile(&errors, 0.9),
             worst_px: quantile(&found, 1.0),
-            wrong: found.iter().filter(|e| **e >= SUCCESS_PX).count(),
+            rough: found.iter().filter(|e| **e >= SUCCESS_PX).count(),
+            misleading: rows.iter().filter(|r| r.misleading()).count(),
             inliers: median(|r| r.inliers),
             features: [median(|r| r.features[0]), median(|r| r.features[1])],
         }
@@ -240,38 +242,69 @@ fn share(part: usize, of: usize) -> String {
 /// The verdict on each of our settings.
 pub fn summary(methods: &Methods) -> String {
     let mut out = String::from(
-        "| ours | pairs | cells that pass against precise | cells that fail, with ours / precise | sure pairs lost | \
-         aims met | wrong answers | features ms | register ms |\n|---|---|---|---|---|---|---|---|---|\n",
+        "| ours | pairs | cells that pass against precise | without a median | cells that fail, with ours / precise | \
+         sure pairs lost | aims met | rough answers | misleading | features ms | register ms |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|\n",
     );
     for (setting, rows) in settings(methods) {
         let against = methods.get(PRECISE).map(|p| compare(rows, p));
         let against = against.unwrap_or_default();
-        let passed = against.iter().filter(|c| c.holds()).count();
-        let failed: Vec<String> = against.iter().filter(|c| !c.holds()).map(failure).collect();
         let (lost, sure) = sure_pairs_lost(methods, rows);
         let aims: Vec<bool> = AIMS
             .iter()
             .filter_map(|aim| aim_met(rows, *aim).map(|(_, met)| met))
             .collect();
+        let all = Figures::of(rows.values());
         let ms = |of: fn(&Row) -> f64| middle(rows.values().map(of).collect());
         let _ = writeln!(
             out,
-            "| {} | {} | {passed} of {} | {} | {} of {sure} | {} of {} | {} | {:.0} | {:.0} |",
+            "| {} | {} | {} | {} of {sure} | {} of {} | {} | {} | {:.0} | {:.0} |",
             setting.name,
             rows.len(),
-            against.len(),
-            if failed.is_empty() {
-                "none".into()
-            } else {
-                failed.join("; ")
-            },
+            outcome(&against),
             lost.len(),
             aims.iter().filter(|met| **met).count(),
             aims.len(),
-            Figures::of(rows.values()).wrong,
+            all.rough,
+            all.misleading,
             ms(|r| r.features_ms),
             ms(|r| r.register_ms),
         );
+    }
+    out
+}
+
+/// Three columns: cells that pass, cells without a median to compare, and what fails.
+fn outcome(against: &[Comparison]) -> String {
+    let passed = against.iter().filter(|c| c.holds()).count();
+    let unjudged = against.iter().filter(|c| c.medians_px.is_none()).count();
+    let failed: Vec<String> = against.iter().filter(|c| !c.holds()).map(failure).collect();
+    let failed = match failed.is_empty() {
+        true => "none".into(),
+        false => failed.join("; "),
+    };
+    format!("{passed} of {} | {unjudged} | {failed}", against.len())
+}
+
+/// Each fast mode against the setting that it would replace, by the same rule.
+const REPLACES: [(&str, &str); 5] = [
+    ("undoubled", "2000"),
+    ("undoubled_scale", "2000_scale"),
+    ("skip_scale", "2000_scale"),
+    ("undoubled_skip_scale", "2000_scale"),
+    ("skip_scale", "servo"),
+];
+
+/// The fast modes against our own.
+pub fn fast_modes(methods: &Methods) -> String {
+    let mut out = String::from(
+        "| fast mode | in place of | cells that pass | without a median | cells that fail, with fast / full |\n\
+         |---|---|---|---|---|\n",
+    );
+    for (fast, full) in REPLACES {
+        if let (Some(a), Some(b)) = (methods.get(fast), methods.get(full)) {
+            let _ = writeln!(out, "| {fast} | {full} | {} |", outcome(&compare(a, b)));
+        }
     }
     out
 }
@@ -372,7 +405,7 @@ pub fn all_cells(methods: &Methods) -> String {
     for cell in cells() {
         let _ = write!(
             out,
-            "### {}:1 {}\n\n| method | pairs | < 3 px | < 0.5 px | median px | 90 % px | worst answer px | wrong answers | \
+            "### {}:1 {}\n\n| method | pairs | < 3 px | < 0.5 px | median px | 90 % px | worst answer px | rough / misleading | \
              inliers | features | nearer than precise | lost / won | verdict |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
             cell.0,
             cell.1.name()
@@ -397,14 +430,15 @@ pub fn all_cells(methods: &Methods) -> String {
             });
             let _ = writeln!(
                 out,
-                "| {title} | {} | {} | {} | {} | {} | {} | {} | {} | {} / {} | {paired} |",
+                "| {title} | {} | {} | {} | {} | {} | {} | {} / {} | {} | {} / {} | {paired} |",
                 f.pairs,
                 share(f.successes, f.pairs),
                 share(f.within_half_px, f.pairs),
                 px(f.median_px),
                 px(f.p90_px),
                 px(f.worst_px),
-                f.wrong,
+                f.rough,
+                f.misleading,
                 f.inliers,
                 f.features[0],
                 f.features[1],
@@ -508,7 +542,7 @@ mod tests {
         let rows = cell("2000", &[0.1, 0.2, f64::INFINITY, 5.0, f64::INFINITY]);
         let f = Figures::of(rows.iter());
         assert_eq!(
-            (f.pairs, f.successes, f.within_half_px, f.wrong),
+            (f.pairs, f.successes, f.within_half_px, f.rough),
             (5, 2, 2, 1)
         );
         assert_eq!(
@@ -538,7 +572,13 @@ mod tests {
     #[test]
     fn every_table_has_as_many_columns_in_each_line() {
         let m = methods(&[0.1; 12], &[0.1; 12]);
-        for text in [summary(&m), aims(&m), table_one(&m), all_cells(&m)] {
+        for text in [
+            summary(&m),
+            fast_modes(&m),
+            aims(&m),
+            table_one(&m),
+            all_cells(&m),
+        ] {
             let mut columns = None;
             for line in text.lines() {
                 let bars = line.matches('|').count();
