@@ -284,11 +284,12 @@ mod tests {
     fn unit_length_in_bytes() {
         let p = plane(|x, y| (0.3 * x).sin() * (0.23 * y).cos() + 0.1 * (0.5 * x + 0.4 * y).sin());
         let d = describe(&p, 40.2, 39.7, 1.9, 0.6);
-        let norm =
-            d.components().iter()
-                .map(|&v| f32::from(v).powi(2))
-                .sum::<f32>()
-                .sqrt();
+        let norm = d
+            .components()
+            .iter()
+            .map(|&v| f32::from(v).powi(2))
+            .sum::<f32>()
+            .sqrt();
         assert!((norm - 250.0).abs() < 6.0, "{norm}");
     }
 

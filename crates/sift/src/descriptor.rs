@@ -75,8 +75,7 @@ pub(crate) fn finish(histogram: &[f32; 128]) -> Descriptor {
     });
     // The second normalisation cancels in the division by the sum.
     let scale = 1.0 / cut.iter().sum::<f32>().max(f32::MIN_POSITIVE);
-    let byte =
-        |v: f32| ((QUANTUM * (v * scale).sqrt() + 0.5) as u8).min(Descriptor::MAX_COMPONENT);
+    let byte = |v: f32| ((QUANTUM * (v * scale).sqrt() + 0.5) as u8).min(Descriptor::MAX_COMPONENT);
     Descriptor(cut.map(byte))
 }
 

@@ -26,6 +26,11 @@
 //! # Ok::<(), scopeservo_sift::SiftError>(())
 //! ```
 
+#![allow(
+    clippy::needless_range_loop,
+    reason = "kernels walk several arrays of vectors side by side, and closures would hide from the compiler which instructions it may use"
+)]
+
 mod blur;
 mod contrast;
 mod describe;

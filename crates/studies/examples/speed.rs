@@ -108,7 +108,12 @@ impl Worker {
             mutual: false,
         };
         let found = match_features(&view, &target, &all);
-        let bytes = |f: &Features| f.descriptors.iter().flat_map(|d| d.0).collect::<Vec<u8>>();
+        let bytes = |f: &Features| {
+            f.descriptors
+                .iter()
+                .flat_map(|d| *d.components())
+                .collect::<Vec<u8>>()
+        };
         let numbers: Vec<u8> = found
             .iter()
             .flat_map(|m| [m.query as u32, m.train as u32, m.distance_sq, m.second_sq])

@@ -2,6 +2,7 @@
 //!
 //! Each study is an example of this crate: `cargo run --release -p scopeservo-studies --example NAME -- ARGS`.
 
+pub mod accuracy;
 pub mod bench;
 pub mod crops;
 pub mod warp;

@@ -49,7 +49,7 @@ impl Source {
     }
 
     /// Catmull-Rom interpolation at a place in source pixels; clamped at the border.
-    fn sample(&self, x: f64, y: f64) -> f64 {
+    pub(crate) fn sample(&self, x: f64, y: f64) -> f64 {
         let (fx, fy) = (x.floor(), y.floor());
         let (wx, wy) = (catmull_rom(x - fx), catmull_rom(y - fy));
         let mut sum = 0.0;
@@ -61,6 +61,33 @@ impl Source {
             }
         }
         sum
+    }
+
+    /// What pixel p of a picture sees at `source_from_pixel(p)`, integrated over the pixel's area; row-major, 0..=1 but for
+    /// the overshoot of the interpolation.
+    pub fn integrate(&self, source_from_pixel: &Affine2) -> Vec<f64> {
+        self.integrate_sized(SIZE, source_from_pixel)
+    }
+
+    fn integrate_sized(&self, [w, h]: [usize; 2], source_from_pixel: &Affine2) -> Vec<f64> {
+        let pitch = source_from_pixel.linear.det().abs().sqrt();
+        let sub = (pitch * 1.5).ceil().max(2.0) as usize;
+        let mut data = vec![0.0; w * h];
+        data.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
+            for (x, value) in row.iter_mut().enumerate() {
+                let mut sum = 0.0;
+                for j in 0..sub {
+                    for i in 0..sub {
+                        let offset = |k: usize| (k as f64 + 0.5) / sub as f64 - 0.5;
+                        let p =
+                            source_from_pixel.apply([x as f64 + offset(i), y as f64 + offset(j)]);
+                        sum += self.sample(p[0], p[1]);
+                    }
+                }
+                *value = sum / (sub * sub) as f64;
+            }
+        });
+        data
     }
 
     /// A picture of [`SIZE`] whose pixel p shows the source at `source_from_pixel(p)`, integrated over the pixel's area,
@@ -77,22 +104,11 @@ impl Source {
         noise: f64,
         seed: u64,
     ) -> GrayImage {
-        let pitch = source_from_pixel.linear.det().abs().sqrt();
-        let sub = (pitch * 1.5).ceil().max(2.0) as usize;
+        let clean = self.integrate_sized([w, h], source_from_pixel);
         let mut data = vec![0.0f32; w * h];
         data.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
             let mut rng = SplitMix64::new(seed ^ (y as u64).wrapping_mul(0x9E37_79B9));
-            for (x, value) in row.iter_mut().enumerate() {
-                let mut sum = 0.0;
-                for j in 0..sub {
-                    for i in 0..sub {
-                        let offset = |k: usize| (k as f64 + 0.5) / sub as f64 - 0.5;
-                        let p =
-                            source_from_pixel.apply([x as f64 + offset(i), y as f64 + offset(j)]);
-                        sum += self.sample(p[0], p[1]);
-                    }
-                }
-                let clean = sum / (sub * sub) as f64;
+            for (value, clean) in row.iter_mut().zip(&clean[y * w..]) {
                 let noisy = (clean + noise * rng.normal()).clamp(0.0, 1.0);
                 *value = ((noisy * 255.0).round() / 255.0) as f32;
             }
@@ -154,7 +170,8 @@ pub fn random_pair(
     })
 }
 
-fn about(centre: Vec2, angle_rad: f64, pitch: f64) -> Affine2 {
+/// A picture whose centre shows `centre`, turned by the angle, with pixels of `pitch` source pixels.
+pub(crate) fn about(centre: Vec2, angle_rad: f64, pitch: f64) -> Affine2 {
     let linear = Mat2::rotation(angle_rad) * pitch;
     let middle = [(SIZE[0] as f64 - 1.0) / 2.0, (SIZE[1] as f64 - 1.0) / 2.0];
     let moved = linear * middle;

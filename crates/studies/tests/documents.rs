@@ -172,6 +172,7 @@ fn files_that_the_documents_link_to_are_there() {
         "CONVENTIONS.md",
         "CHANGELOG.md",
         "docs/measured.md",
+        "docs/sift-accuracy.md",
     ] {
         let path = root().join(document);
         let text = fs::read_to_string(&path).unwrap();

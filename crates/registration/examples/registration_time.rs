@@ -1,4 +1,4 @@
-//! Times what a registration adds to the matching: `cargo run --release -p scopeservo-registration --example time`.
+//! Times what a registration adds to the matching: `cargo run --release -p scopeservo-registration --example registration_time`.
 //!
 //! One thread, 2500 features on each side of a made-up pair, of which as many match as the row says. Prints microseconds, best of
 //! several: `all` is all that follows the matching; search, fit, verdict and covariance are its parts by themselves.
@@ -33,8 +33,10 @@ fn pair(matches: usize, share: f64, seed: u64) -> (Features, Features) {
         descriptors: Vec::new(),
     };
     let (mut view, mut target) = (empty(), empty());
-    let descriptor =
-        |rng: &mut SplitMix64| Descriptor(std::array::from_fn(|_| rng.below(120) as u8));
+    let descriptor = |rng: &mut SplitMix64| {
+        // 128 components of at most 22 keep within the length of a descriptor.
+        Descriptor::new(std::array::from_fn(|_| rng.below(23) as u8)).expect("short enough")
+    };
     let anywhere = |rng: &mut SplitMix64| [rng.uniform() * 640.0, rng.uniform() * 480.0];
     for i in 0..FEATURES {
         let (p, sigma, angle) = (

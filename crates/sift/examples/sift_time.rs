@@ -1,4 +1,4 @@
-//! Times detection and matching on a synthetic image: `cargo run --release --example time -p scopeservo-sift [threads] [raw w h]`.
+//! Times detection and matching on a synthetic image: `cargo run --release --example sift_time -p scopeservo-sift [threads] [raw w h]`.
 //!
 //! Prints milliseconds (best of several) and counts; matching at every level, on one thread and on two. `raw` is a file of w * h grey bytes to use instead of the synthetic image.
 
