@@ -72,9 +72,56 @@ pub(crate) struct Scan<'a> {
     pub(crate) base: usize,
     /// Layers to search.
     pub(crate) layers: Range<usize>,
+    /// What is weaker than this cannot be among the strongest `max_features`.
+    pub(crate) weakest: f32,
 }
 
-/// Finds the extrema of one tile, row by row.
+/// How strong an extremum must be to count among the strongest, as far as is known.
+///
+/// The answer only leaves out what the final choice would leave out too, so it does not matter in which order, or in how many
+/// parts, the extrema come.
+#[derive(Debug)]
+pub(crate) struct Bar {
+    /// As many extrema as are wanted.
+    wanted: usize,
+    weakest: f32,
+    /// Responses of distinct extrema above it.
+    above: Vec<f32>,
+}
+
+impl Bar {
+    pub(crate) fn new(wanted: usize, weakest: f32) -> Self {
+        Self {
+            wanted,
+            weakest,
+            above: Vec::new(),
+        }
+    }
+
+    /// Takes the response of one more extremum, which no other call reports.
+    pub(crate) fn see(&mut self, response: f32) {
+        if response <= self.weakest {
+            return;
+        }
+        self.above.push(response);
+        if self.above.len() >= self.wanted.saturating_mul(2) {
+            self.raise();
+        }
+    }
+
+    /// The bar as high as what was seen allows.
+    pub(crate) fn raise(&mut self) -> f32 {
+        if self.above.len() >= self.wanted {
+            let last = self.wanted - 1;
+            let (_, weakest, _) = (self.above).select_nth_unstable_by(last, |a, b| b.total_cmp(a));
+            self.weakest = *weakest;
+            self.above.truncate(self.wanted);
+        }
+        self.weakest
+    }
+}
+
+/// Finds the extrema of some tiles, row by row.
 pub(crate) struct Scanner<'a> {
     scan: &'a Scan<'a>,
     /// What was found, in order of row, layer, column.
@@ -82,17 +129,23 @@ pub(crate) struct Scanner<'a> {
     /// The next row of differences to compute.
     next: usize,
     hits: Vec<usize>,
+    bar: Bar,
 }
 
 impl<'a> Scanner<'a> {
-    /// For a tile whose rows begin with `first_row`.
-    pub(crate) fn new(scan: &'a Scan<'a>, first_row: usize) -> Self {
+    pub(crate) fn new(scan: &'a Scan<'a>) -> Self {
         Self {
             scan,
             found: Vec::new(),
-            next: first_row.saturating_sub(1),
+            next: 0,
             hits: Vec::new(),
+            bar: Bar::new(scan.options.max_features, scan.weakest),
         }
+    }
+
+    /// Begins a tile whose rows begin with `first_row`.
+    pub(crate) fn begin(&mut self, first_row: usize) {
+        self.next = first_row.saturating_sub(1);
     }
 }
 
@@ -170,7 +223,9 @@ impl Scanner<'_> {
             };
             for &x in &self.hits {
                 let sample = [x + levels.origin, y];
-                (self.found).extend(refine(s, &around, self.scan, sample, layer));
+                if let Some(e) = refine(s, &around, self.scan, sample, layer, &mut self.bar) {
+                    self.found.push(e);
+                }
             }
         }
     }
@@ -412,7 +467,8 @@ fn lagrange(t: f64) -> [f32; 6] {
     })
 }
 
-/// Follows the quadratic fit from a sample to its extremum; `None` when it leads away, is too weak or lies on an edge.
+/// Follows the quadratic fit from a sample to its extremum; `None` when it leads away, is too weak, lies on an edge or is below the
+/// bar.
 #[inline(always)]
 fn refine<S: Simd>(
     s: S,
@@ -420,6 +476,7 @@ fn refine<S: Simd>(
     scan: &Scan<'_>,
     start: [usize; 2],
     layer: usize,
+    bar: &mut Bar,
 ) -> Option<Extremum> {
     let Scan {
         options,
@@ -463,6 +520,13 @@ fn refine<S: Simd>(
     let response = fit.peak(&offset).abs() as f32;
     if response < thresholds[layer] || !fit.is_blob(f64::from(options.edge_ratio)) {
         return None;
+    }
+    if response < bar.weakest {
+        return None;
+    }
+    if moves == 0 {
+        // Others that end here have come from elsewhere: only this one is counted.
+        bar.see(response);
     }
     let (mut px, mut py) = (x as f64 + offset[0], y as f64 + offset[1]);
     let mut ps = layer as f64 + offset[2];

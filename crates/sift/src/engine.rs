@@ -6,7 +6,7 @@ use crate::blur::{Doubling, Kernel};
 use crate::contrast::Contrast;
 use crate::describe::{Weights, describe};
 use crate::descriptor::Descriptor;
-use crate::detect::{Extremum, Scan, Scanner};
+use crate::detect::{Bar, Extremum, Scan, Scanner};
 use crate::orient::{Orientations, orientations};
 use crate::scale_space::{Chain, Make, Plane, Scratch, Source};
 use crate::simd::at_level;
@@ -79,43 +79,60 @@ impl Sift {
     /// the descriptors.
     pub fn detect(&mut self, image: &GrayImage) -> Vec<Keypoint> {
         let found = self.extrema(image);
-        let oriented: Vec<Vec<Keypoint>> = found
-            .par_iter()
-            .with_min_len(8)
-            .map(|e| {
-                let angles = self.orientations(e);
-                angles.iter().map(|&angle| keypoint(e, angle)).collect()
-            })
-            .collect();
-        oriented.concat()
+        let features = self.oriented(&found, |_, _| ());
+        features
+            .into_iter()
+            .map(|(keypoint, ())| keypoint)
+            .collect()
     }
 
-    /// Detects, orients and describes the features of `image`.
+    /// Detects, orients and describes the features of `image`: the `max_features` strongest, as strong as the extremum they
+    /// belong to.
     ///
-    /// The `max_features` strongest extrema are kept and then oriented, so that the result may hold about a third more. An image
-    /// without structure, or too small for the first octave (fewer than 12 pixels on a side after doubling), gives no features.
+    /// An image without structure, or too small for the first octave (fewer than 12 pixels on a side after doubling), gives no
+    /// features.
     pub fn detect_and_describe(&mut self, image: &GrayImage) -> Features {
-        let mut features = Features {
+        let found = self.extrema(image);
+        let features = self.oriented(&found, |e, angle| self.describe(e, angle));
+        let (keypoints, descriptors) = features.into_iter().unzip();
+        Features {
             width: image.width(),
             height: image.height(),
-            keypoints: Vec::new(),
-            descriptors: Vec::new(),
-        };
-        let found = self.extrema(image);
-        let mut described: Vec<(usize, Vec<(Keypoint, Descriptor)>)> = walk(&found)
-            .into_par_iter()
-            .with_min_len(8)
-            .map(|i| {
-                let e = &found[i];
-                let features = (self.orientations(e).iter())
-                    .map(|&angle| (keypoint(e, angle), self.describe(e, angle)))
-                    .collect();
-                (i, features)
-            })
-            .collect();
-        described.sort_unstable_by_key(|(i, _)| *i);
-        (features.keypoints, features.descriptors) =
-            described.into_iter().flat_map(|(_, f)| f).unzip();
+            keypoints,
+            descriptors,
+        }
+    }
+
+    /// The first `max_features` keypoints of `found`, each with what `make` makes of it.
+    fn oriented<T: Send>(
+        &self,
+        found: &[Extremum],
+        make: impl Fn(&Extremum, f32) -> T + Sync,
+    ) -> Vec<(Keypoint, T)> {
+        let wanted = self.options.max_features;
+        let mut features = Vec::with_capacity(wanted.min(2 * found.len()));
+        let mut rest = found;
+        while !rest.is_empty() && features.len() < wanted {
+            // One in three or four has a second orientation. What is still missing then follows.
+            let missing = wanted - features.len();
+            let count = (missing - missing / 4).max(32).min(rest.len());
+            let (now, later) = rest.split_at(count);
+            rest = later;
+            let mut made: Vec<(usize, Vec<(Keypoint, T)>)> = walk(now)
+                .into_par_iter()
+                .with_min_len(8)
+                .map(|i| {
+                    let e = &now[i];
+                    let features = (self.orientations(e).iter())
+                        .map(|&angle| (keypoint(e, angle), make(e, angle)))
+                        .collect();
+                    (i, features)
+                })
+                .collect();
+            made.sort_unstable_by_key(|(i, _)| *i);
+            features.extend(made.into_iter().flat_map(|(_, f)| f));
+        }
+        features.truncate(wanted);
         features
     }
 
@@ -187,7 +204,8 @@ impl Sift {
             );
         }
 
-        let mut found = Vec::new();
+        let mut found: Vec<Extremum> = Vec::new();
+        let mut bar = Bar::new(options.max_features, 0.0);
         for octave in 0.. {
             while work.octaves.len() < octave + 2 {
                 work.octaves.push(vec![Plane::default(); options.intervals]);
@@ -245,6 +263,7 @@ impl Sift {
                 octave: index,
                 base,
                 layers,
+                weakest: bar.raise(),
             };
             let chain = Chain {
                 levels,
@@ -263,6 +282,7 @@ impl Sift {
             // Two samples may lead to the same extremum.
             new.sort_unstable_by_key(|e| (e.layer, e.sample.1, e.sample.0));
             new.dedup_by_key(|e| (e.layer, e.sample));
+            new.iter().for_each(|e| bar.see(e.response));
             found.append(&mut new);
         }
         if found.len() > options.max_features {
@@ -325,9 +345,11 @@ fn run(
         .enumerate()
         .map(|(i, (mut planes, scratch))| {
             let rows = i * band..((i + 1) * band).min(h);
-            let mut found = Vec::new();
+            let mut scanner = scan.map(Scanner::new);
             for columns in Chain::tiles(w) {
-                let mut scanner = scan.map(|s| Scanner::new(s, rows.start));
+                if let Some(scanner) = &mut scanner {
+                    scanner.begin(rows.start);
+                }
                 at_level!(simd, s => chain.sweep(
                     s,
                     rows.clone(),
@@ -341,9 +363,8 @@ fn run(
                         }
                     },
                 ));
-                found.extend(scanner.into_iter().flat_map(|s| s.found));
             }
-            found
+            scanner.map_or_else(Vec::new, |s| s.found)
         })
         .collect();
     found.concat()

@@ -8,8 +8,8 @@ use crate::SiftError;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// The N strongest extrema by response are kept, chosen before orientations are assigned; at least 1. An extremum with
-    /// several dominant orientations gives several features, so their number may exceed this by about a third.
+    /// The N strongest features by response are kept, at least 1. Extrema are ranked before they are oriented; one with several
+    /// dominant orientations gives several features.
     pub max_features: usize,
     /// Least |DoG| of an extremum times `intervals`, on an image with range 0..=1 (Lowe, IJCV 2004, section 4, has 0.03 times 3
     /// intervals, most later code 0.04). With `adapt_contrast` it is relative to the spread of the image.

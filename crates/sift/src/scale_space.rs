@@ -17,7 +17,7 @@ use crate::GrayImage;
 use crate::blur::{BLOCK, Doubling, Kernel, along, along_doubled, down, mirrored};
 
 /// Columns of a tile, without its overlap.
-const TILE_WIDTH: usize = 640;
+const TILE_WIDTH: usize = 1400;
 
 /// Rows before and after the visited one that the visitor may look at.
 pub(crate) const WINDOW: usize = 8;
