@@ -3,8 +3,9 @@
 use crate::event::tell;
 use crate::{Event, FrameRole, ServoError, Sink};
 use scopeservo_scope::{Frame, Instrument, ObjectiveId};
-use scopeservo_sift::{Features, GrayImage, Simd, detect_and_describe};
+use scopeservo_sift::{Features, GrayImage, Sift, Simd};
 use serde::{Deserialize, Serialize};
+use std::cell::RefCell;
 
 /// Feature budgets and registration settings of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -102,13 +103,24 @@ pub(crate) fn grab(
     Ok(frame)
 }
 
+thread_local! {
+    /// The engine of the last frame: its planes, 15 MB for a frame of 640 x 480, serve the next one.
+    static ENGINE: RefCell<Option<Sift>> = const { RefCell::new(None) };
+}
+
 /// Features of a frame's luminance.
 pub(crate) fn features(
     frame: &Frame,
     options: &scopeservo_sift::Options,
 ) -> Result<Features, ServoError> {
     let image = GrayImage::new(frame.width, frame.height, frame.luminance())?;
-    Ok(detect_and_describe(&image, options)?)
+    ENGINE.with_borrow_mut(|kept| {
+        let engine = match kept {
+            Some(engine) if engine.options() == options => engine,
+            _ => kept.insert(Sift::new(options.clone())?),
+        };
+        Ok(engine.detect_and_describe(&image))
+    })
 }
 
 /// The pixel that everything is measured from: the image's centre, each image its own.
