@@ -1,12 +1,11 @@
 //! Work whose instructions are counted: `counted LEVEL PIECE`, with `scalar` or `avx2`, and `describe` or `match`.
 //!
 //! `python3 crates/sift/counts/counts.py` runs it under callgrind, which counts only what happens inside [`counted`].
-//! The matcher takes no level and has one of its own choice.
 
 use std::hint::black_box;
 
 use scopeservo_sift::{
-    Features, GrayImage, Level, MatchOptions, Options, Sift, Simd, match_features,
+    Features, Gate, GrayImage, Level, MatchOptions, Options, Sift, Simd, match_features_at,
 };
 
 /// Blobs and stripes of many sizes: detail at every scale, the same on every run.
@@ -32,7 +31,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .into_iter()
         .find(|l| l.to_string() == *level)
         .ok_or("no such level")?;
-    let mut sift = Sift::with(Options::default(), Simd::at(level)?)?;
+    let simd = Simd::at(level)?;
+    let mut sift = Sift::with(Options::default(), simd)?;
     let image = |dx: f32| GrayImage::from_fn(320, 240, |x, y| texture(x as f32 + dx, y as f32));
     let (here, moved) = (image(0.0)?, image(3.3)?);
     // One thread, or the counts depend on who steals what.
@@ -50,7 +50,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             };
             let (a, b) = (strongest(&here), strongest(&moved));
             assert_eq!((a.len(), b.len()), (500, 500));
-            counted(|| match_features(&a, &b, &MatchOptions::default())).len()
+            let options = MatchOptions::default();
+            counted(|| match_features_at(simd, &a, &b, &options, &Gate::default())).len()
         }
     });
     Ok(())

@@ -1,15 +1,18 @@
 //! SIFT features: detect, orient, describe, match (Lowe, *Distinctive Image Features from Scale-Invariant Keypoints*, IJCV 2004),
 //! with RootSIFT descriptors (Arandjelovic & Zisserman, CVPR 2012). Knows no microscope and no geometry.
 //!
-//! The stages, in the order of the data: `scale_space` (Gaussians and their differences, octave by octave), `contrast` (how
-//! strong an extremum must be), `detect` (extrema, refined below a pixel), `orient`, `describe`, then [`match_features`].
-//! [`detect_and_describe`] walks through them; [`Features`] are a value to keep.
+//! A [`Sift`] is made once and keeps its buffers from image to image; [`detect_and_describe`] is the short form for one image, and
+//! [`match_features`] compares two sets. [`Features`] are a value to keep.
+//!
+//! The stages, in the order of the data: `contrast` (how strong an extremum must be), `scale_space` (an octave of Gaussians in one
+//! sweep, with `blur`), `detect` (extrema, refined below a pixel, while the rows are in the cache), `orient`, `describe`, then
+//! `matching`; `engine` walks through them.
 //!
 //! Coordinates: integer coordinates are pixel centres, x along the row, y down, angles from +x towards +y. The doubled first
 //! octave and the decimated later ones keep this grid exactly, so positions carry no constant offset.
 //!
-//! Everything here is portable scalar code, written so that compilers vectorise it, and gives the same bits on any number of
-//! threads.
+//! Every stage is one source, compiled for each [`Level`] of vector instructions and chosen at run time; [`Sift::with`] and
+//! [`match_features_at`] force one. Results are the same bits on any number of threads. Between levels they differ by rounding.
 //!
 //! ```
 //! use scopeservo_sift::{GrayImage, MatchOptions, Options, detect_and_describe, match_features};
