@@ -17,7 +17,7 @@ pub enum SiftError {
     },
     /// The pixel buffer does not hold `width * height` values.
     #[error(
-        "an image of {width} x {height} pixels needs width * height values, got {found}; pass rows without padding"
+        "an image of {width} x {height} pixels needs width * height values, got {found}; rows with padding go through `GrayImage::from_rows`"
     )]
     DataLength {
         /// Columns asked for.
@@ -27,11 +27,55 @@ pub enum SiftError {
         /// Values in the buffer.
         found: usize,
     },
+    /// Rows that would overlap.
+    #[error(
+        "rows of {width} pixels cannot begin every {stride} values; the stride is at least the width"
+    )]
+    Stride {
+        /// Columns asked for.
+        width: usize,
+        /// Values from the begin of a row to that of the next.
+        stride: usize,
+    },
+    /// The pixel buffer ends before the last row does.
+    #[error(
+        "an image of {width} x {height} pixels with a stride of {stride} needs (height - 1) * stride + width values, got {found}"
+    )]
+    DataTooShort {
+        /// Columns asked for.
+        width: usize,
+        /// Rows asked for.
+        height: usize,
+        /// Values from the begin of a row to that of the next.
+        stride: usize,
+        /// Values in the buffer.
+        found: usize,
+    },
+    /// An image for which there is no memory.
+    #[error("there is no memory for an image of {width} x {height} pixels")]
+    TooLarge {
+        /// Columns asked for.
+        width: usize,
+        /// Rows asked for.
+        height: usize,
+    },
     /// A pixel is NaN or infinite.
     #[error(
         "pixel ({x}, {y}) is {value}; replace values that are not finite before detecting features"
     )]
     NotFinite {
+        /// Column of the first such pixel.
+        x: usize,
+        /// Row of the first such pixel.
+        y: usize,
+        /// The value found.
+        value: f32,
+    },
+    /// A pixel beyond [`GrayImage::GREATEST`](crate::GrayImage::GREATEST).
+    #[error(
+        "pixel ({x}, {y}) is {value:e}; scale the image so that no value exceeds 1e12 in size, best to 0..=1"
+    )]
+    TooGreat {
         /// Column of the first such pixel.
         x: usize,
         /// Row of the first such pixel.

@@ -5,7 +5,7 @@ use crate::SiftError;
 /// Grey image in f32, nominal range 0..=1, row-major, without padding.
 ///
 /// Integer coordinates are pixel centres: the first pixel is the unit square around (0, 0), x runs along a row, y runs down.
-/// Every value is finite.
+/// Every value is finite and at most [`GREATEST`](Self::GREATEST) in size, so that no sum of squares overflows later.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GrayImage {
     width: usize,
@@ -14,11 +14,14 @@ pub struct GrayImage {
 }
 
 impl GrayImage {
+    /// Greatest magnitude of a value: above any count of photons, and far enough from the greatest f32 for all that is computed.
+    pub const GREATEST: f32 = 1e12;
+
     /// Takes `width * height` values, row by row.
     ///
     /// # Errors
     /// [`SiftError::EmptyImage`] for a size of zero, [`SiftError::DataLength`] when the length disagrees,
-    /// [`SiftError::NotFinite`] for a NaN or infinite value.
+    /// [`SiftError::NotFinite`] for a NaN or infinite value, [`SiftError::TooGreat`] for one beyond [`GREATEST`](Self::GREATEST).
     pub fn new(width: usize, height: usize, data: Vec<f32>) -> Result<Self, SiftError> {
         if width == 0 || height == 0 {
             return Err(SiftError::EmptyImage { width, height });
@@ -30,11 +33,13 @@ impl GrayImage {
                 found: data.len(),
             });
         }
-        if let Some(i) = data.iter().position(|v| !v.is_finite()) {
-            return Err(SiftError::NotFinite {
-                x: i % width,
-                y: i / width,
-                value: data[i],
+        let good = |v: &f32| v.abs() <= Self::GREATEST; // not of NaN
+        if let Some(i) = data.iter().position(|v| !good(v)) {
+            let (x, y, value) = (i % width, i / width, data[i]);
+            return Err(if value.is_finite() {
+                SiftError::TooGreat { x, y, value }
+            } else {
+                SiftError::NotFinite { x, y, value }
             });
         }
         Ok(Self {
@@ -47,17 +52,80 @@ impl GrayImage {
     /// Evaluates `f(x, y)` at each pixel centre, row by row.
     ///
     /// # Errors
-    /// As [`GrayImage::new`].
+    /// As [`GrayImage::new`], and [`SiftError::TooLarge`] when there is no memory for the image.
     pub fn from_fn(
         width: usize,
         height: usize,
         mut f: impl FnMut(usize, usize) -> f32,
     ) -> Result<Self, SiftError> {
-        let mut data = Vec::with_capacity(width.saturating_mul(height));
+        let mut data = room(width, height)?;
         for y in 0..height {
             data.extend((0..width).map(|x| f(x, y)));
         }
         Self::new(width, height, data)
+    }
+
+    /// Copies rows that lie in a larger buffer: row y is `data[y * stride..][..width]`, each value through `value`. Lengths count
+    /// values, not bytes. What follows a row is not read, and nothing need follow the last one.
+    ///
+    /// A window of a larger picture is its rows from the window's first value on, with the stride of the whole:
+    ///
+    /// ```
+    /// # use scopeservo_sift::GrayImage;
+    /// let sensor: Vec<u16> = (0..640 * 480).map(|i| (i % 4096) as u16).collect(); // 12 bits
+    /// let (x, y) = (100, 50);
+    /// let window = GrayImage::from_rows(200, 80, 640, &sensor[y * 640 + x..], |v| f32::from(v) / 4095.0)?;
+    /// assert_eq!(window.get(3, 2), f32::from(sensor[52 * 640 + 103]) / 4095.0);
+    /// # Ok::<(), scopeservo_sift::SiftError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`SiftError::EmptyImage`] for a size of zero, [`SiftError::Stride`] when a row is longer than the way to the next,
+    /// [`SiftError::DataTooShort`] when the last row does not end within `data`, [`SiftError::NotFinite`] and
+    /// [`SiftError::TooGreat`] for what `value` gives, [`SiftError::TooLarge`] when there is no memory for the image.
+    pub fn from_rows<T: Copy>(
+        width: usize,
+        height: usize,
+        stride: usize,
+        data: &[T],
+        mut value: impl FnMut(T) -> f32,
+    ) -> Result<Self, SiftError> {
+        if width == 0 || height == 0 {
+            return Err(SiftError::EmptyImage { width, height });
+        }
+        if stride < width {
+            return Err(SiftError::Stride { width, stride });
+        }
+        let needed = (height - 1)
+            .checked_mul(stride)
+            .and_then(|start| start.checked_add(width));
+        if needed.is_none_or(|needed| needed > data.len()) {
+            return Err(SiftError::DataTooShort {
+                width,
+                height,
+                stride,
+                found: data.len(),
+            });
+        }
+        let mut pixels = room(width, height)?;
+        for row in data.chunks(stride).take(height) {
+            pixels.extend(row[..width].iter().map(|&v| value(v)));
+        }
+        Self::new(width, height, pixels)
+    }
+
+    /// An 8-bit picture with rows `stride` bytes apart; 255 becomes 1. As [`from_rows`](Self::from_rows) otherwise.
+    ///
+    /// # Errors
+    /// [`SiftError::EmptyImage`], [`SiftError::Stride`], [`SiftError::DataTooShort`] and [`SiftError::TooLarge`] as
+    /// [`from_rows`](Self::from_rows).
+    pub fn from_u8(
+        width: usize,
+        height: usize,
+        stride: usize,
+        data: &[u8],
+    ) -> Result<Self, SiftError> {
+        Self::from_rows(width, height, stride, data, |v| f32::from(v) / 255.0)
     }
 
     /// Number of columns, at least 1.
@@ -92,6 +160,17 @@ impl GrayImage {
         );
         self.data[y * self.width + x]
     }
+}
+
+/// An empty vector with room for an image of this size.
+fn room(width: usize, height: usize) -> Result<Vec<f32>, SiftError> {
+    if width == 0 || height == 0 {
+        return Err(SiftError::EmptyImage { width, height });
+    }
+    let mut data = Vec::new();
+    data.try_reserve_exact(width.saturating_mul(height))
+        .map_err(|_| SiftError::TooLarge { width, height })?;
+    Ok(data)
 }
 
 #[cfg(test)]
