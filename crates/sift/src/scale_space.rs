@@ -292,6 +292,7 @@ impl Chain<'_> {
         let (w, _) = self.size;
         let mut visited = rows.start;
         while visited < rows.end {
+            let mut moved = false;
             for level in 0..rings.len() {
                 let ring = &rings[level];
                 let (y, count) = (ring.next, (ring.rows.end - ring.next).min(2));
@@ -301,6 +302,7 @@ impl Chain<'_> {
                 if !self.make_rows(s, level, count, rings, padded, starts) {
                     continue;
                 }
+                moved = true;
                 let ring = &mut rings[level];
                 ring.next += count;
                 if self.kept.contains(&level) {
@@ -334,7 +336,9 @@ impl Chain<'_> {
                 };
                 visit(&levels, visitor_rows, visited);
                 visited += 1;
+                moved = true;
             }
+            assert!(moved, "rings hold what the next row of each level needs");
         }
     }
 
