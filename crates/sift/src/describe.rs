@@ -89,6 +89,23 @@ impl Weights {
     }
 }
 
+/// A value and the next one.
+///
+/// # Safety
+/// `at + 2 <= data.len()`.
+#[inline(always)]
+#[expect(
+    unsafe_code,
+    reason = "a descriptor takes 512 pairs, and eight samples are tested at once"
+)]
+unsafe fn pair(data: &[f32], at: usize) -> &[f32] {
+    if cfg!(debug_assertions) {
+        return &data[at..at + 2];
+    }
+    // SAFETY: the caller's promise.
+    unsafe { data.get_unchecked(at..at + 2) }
+}
+
 /// The surroundings of a keypoint in its own frame: row j, column i at `SPACING * (i - 11.5, j - 11.5)` places.
 struct Patch {
     values: [[f32; STRIDE]; SIDE],
@@ -118,6 +135,7 @@ impl Patch {
 
     /// Bilinear samples; with `CLAMP` those outside the plane take the value at its border.
     #[inline(always)]
+    #[expect(unsafe_code, reason = "see `pair`")]
     fn rows<S: Simd, const CLAMP: bool>(
         s: S,
         plane: &Plane,
@@ -133,8 +151,10 @@ impl Patch {
         let centre = 0.5 * (SIDE - 1) as f32;
         let lanes = f32x8::from_slice(s, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
         // Offsets from a row near the keypoint fit 32 bits in any image.
-        let first_row = (y - reach).floor().clamp(0.0, plane.height as f32 - 1.0);
+        let first_row = (y - reach).floor().clamp(0.0, plane.height as f32 - 2.0);
         let data = &plane.data[first_row as usize * w..];
+        let near = |p: f32| (p - reach).max(0.0) as usize..(p + reach + 2.0).max(0.0) as usize;
+        plane.touch(near(x), near(y));
         for j in 0..SIDE {
             let v = j as f32 - centre;
             let (row_x, row_y) = (x - sin * v, y + cos * v);
@@ -159,13 +179,20 @@ impl Patch {
                 let (fx, fy) = (px - x0, py - y0);
                 let at: i32x8<S> = x0.to_int();
                 let row: i32x8<S> = (y0 - first_row).to_int();
-                let at = (at + row * w as i32).to_array();
+                let at = at + row * w as i32;
+                // One test for all: no sample reads outside.
+                let last = (data.len() - w - 2).min(i32::MAX as usize) as i32;
+                let off = at.simd_lt(i32x8::splat(s, 0)) | at.simd_gt(i32x8::splat(s, last));
+                assert!(!off.any_true(), "samples lie in the plane");
+                let at = at.to_array();
                 // Pairs of neighbours: pixel and right neighbour of the upper row, then of the lower one.
                 let (mut upper, mut lower) = ([0.0; 16], [0.0; 16]);
                 for i in 0..8 {
                     let at = at[i] as usize;
-                    upper[2 * i..2 * i + 2].copy_from_slice(&data[at..at + 2]);
-                    lower[2 * i..2 * i + 2].copy_from_slice(&data[at + w..][..2]);
+                    // SAFETY: tested above: `at` is at most `data.len() - w - 2`.
+                    let (above, below) = unsafe { (pair(data, at), pair(data, at + w)) };
+                    upper[2 * i..2 * i + 2].copy_from_slice(above);
+                    lower[2 * i..2 * i + 2].copy_from_slice(below);
                 }
                 let (a, b) = f32x8::from_slice(s, &upper[..8])
                     .deinterleave(f32x8::from_slice(s, &upper[8..]));
