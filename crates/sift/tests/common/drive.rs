@@ -115,8 +115,8 @@ fn options(bytes: &mut Bytes<'_>) -> Options {
 
 /// Mostly small; now and then a line, a strip wider than a tile, or nothing that can be an image.
 fn image(bytes: &mut Bytes<'_>) -> Option<GrayImage> {
-    let (mut width, mut height) = (bytes.below(72), bytes.below(72));
-    if bytes.rarely(12) {
+    let (mut width, mut height) = (bytes.below(48), bytes.below(48));
+    if bytes.rarely(30) {
         width = bytes.below(1400);
         height = bytes.below(24);
     }
