@@ -59,7 +59,7 @@ impl Bytes<'_> {
 ///
 /// # Panics
 /// When a promise of the crate is broken.
-pub fn drive(data: &[u8]) {
+pub(crate) fn drive(data: &[u8]) {
     let mut bytes = Bytes { data, state: 1 };
     let options = options(&mut bytes);
     let images = [image(&mut bytes), image(&mut bytes)];
@@ -93,9 +93,11 @@ pub fn drive(data: &[u8]) {
 }
 
 fn options(bytes: &mut Bytes<'_>) -> Options {
-    let mut options = Options::default();
-    options.first_octave = bytes.below(4) as i32 - 1;
-    options.adapt_contrast = !bytes.rarely(3);
+    let mut options = Options {
+        first_octave: bytes.below(4) as i32 - 1,
+        adapt_contrast: !bytes.rarely(3),
+        ..Options::default()
+    };
     if bytes.rarely(2) {
         options.max_features = [1, 2, 17, 300, usize::MAX][bytes.below(5)];
         options.intervals = [2, 3, 4, 7, 16][bytes.below(5)];
@@ -175,8 +177,8 @@ fn image(bytes: &mut Bytes<'_>) -> Option<GrayImage> {
 
 /// Features that no image gave: any descriptor within its bounds, keypoints with anything in them.
 fn features(bytes: &mut Bytes<'_>) -> Features {
-    let many = bytes.rarely(4);
-    let n = bytes.below(if many { 700 } else { 60 });
+    let many = bytes.rarely(16);
+    let n = bytes.below(if many { 400 } else { 50 });
     let most = [1, 5, 22, 127, 255][bytes.below(5)];
     let descriptor = |bytes: &mut Bytes<'_>| {
         let fill = 1 + bytes.below(8);
