@@ -8,7 +8,8 @@ usage() {
 usage: check.sh neon | miri [LEVEL...] | asan | fuzz [SECONDS]
 
 neon   the crate's tests as 64-bit ARM, emulated (qemu-user, gcc for aarch64)
-miri   the engine on a small image, and the matcher, interpreted; levels: scalar avx2 avx512 (default: scalar avx2)
+miri   the engine on a small image, and the matcher, interpreted; levels: scalar avx2 avx512 (default: scalar avx2).
+       Miri does not know all of AVX-512: there only the matcher
 asan   the crate's tests with AddressSanitizer
 fuzz   any bytes through everything, for SECONDS (default 3600)
 
@@ -53,6 +54,7 @@ miri() {
         *) usage && exit 2 ;;
         esac
         for test in "--test interpreter" "--lib matching"; do
+            if [ "$level $test" = "avx512 --test interpreter" ]; then continue; fi
             # shellcheck disable=SC2086
             SIFT_LEVEL=$level RUSTFLAGS="$features" \
                 MIRIFLAGS="-Zmiri-disable-isolation -Zmiri-ignore-leaks -Zmiri-permissive-provenance" \
