@@ -164,7 +164,8 @@ fn peaks(h: &[f32; BINS]) -> Orientations {
     for i in 0..BINS {
         let (before, here, after) = (h[(i + BINS - 1) % BINS], h[i], h[(i + 1) % BINS]);
         // Of two equal neighbours the first counts, and the parabola puts the peak between them.
-        if highest <= 0.0 || here < PEAK * highest || here <= before || here < after {
+        let peak = highest > 0.0 && here >= PEAK * highest && here > before && here >= after;
+        if !peak {
             continue;
         }
         let offset = 0.5 * (before - after) / (before - 2.0 * here + after);
