@@ -96,21 +96,22 @@ pub(crate) fn mirrored(i: isize, n: usize) -> usize {
     i.min(period - i) as usize
 }
 
-/// N values from `at` on.
+/// 16 values from `at` on.
 ///
 /// # Safety
-/// `at + N <= data.len()`.
+/// `at + 16 <= data.len()`.
 #[inline(always)]
 #[expect(
     unsafe_code,
     reason = "a bounds check for each of few multiply-adds costs a fifth of a blur"
 )]
-unsafe fn cut<const N: usize>(data: &[f32], at: usize) -> &[f32] {
+unsafe fn load<S: Simd>(s: S, data: &[f32], at: usize) -> f32x16<S> {
     if cfg!(debug_assertions) {
-        return &data[at..at + N];
+        return f32x16::from_slice(s, &data[at..at + 16]);
     }
-    // SAFETY: the caller's promise.
-    unsafe { data.get_unchecked(at..at + N) }
+    // SAFETY: the caller's promise; an array of f32 is aligned as its elements are.
+    let values = unsafe { &*data.as_ptr().add(at).cast::<[f32; 16]>() };
+    f32x16::load_array_ref(s, values)
 }
 
 /// Two rows of sums down the columns, `width` columns rounded up to whole blocks: `first` with the first weight of each row,
@@ -118,7 +119,7 @@ unsafe fn cut<const N: usize>(data: &[f32], at: usize) -> &[f32] {
 ///
 /// `starts[i]` is where in `data` the row for `weights[i]` begins. Each row that is loaded serves both sums.
 #[inline(always)]
-#[expect(unsafe_code, reason = "see `cut`")]
+#[expect(unsafe_code, reason = "see `load`")]
 pub(crate) fn down<S: Simd>(
     s: S,
     weights: &[[f32; 2]],
@@ -140,11 +141,10 @@ pub(crate) fn down<S: Simd>(
         let mut a = [f32x16::splat(s, 0.0); 2];
         let mut b = a;
         for (&[wa, wb], start) in weights.iter().zip(starts) {
-            // SAFETY: each start is at least `width` before the end, and `x + BLOCK` at most `width`.
-            let row = unsafe { cut::<BLOCK>(data, start + x) };
             let (wa, wb) = (f32x16::splat(s, wa), f32x16::splat(s, wb));
             for k in 0..2 {
-                let v = f32x16::from_slice(s, &row[16 * k..16 * k + 16]);
+                // SAFETY: each start is at least `width` before the end, and `x + BLOCK` at most `width`.
+                let v = unsafe { load(s, data, start + x + 16 * k) };
                 a[k] = v.mul_add(wa, a[k]);
                 b[k] = v.mul_add(wb, b[k]);
             }
@@ -158,7 +158,7 @@ pub(crate) fn down<S: Simd>(
 
 /// A row blurred along itself: `out[x]` from `padded[x..=x + 2 radius]`, `width` columns rounded up to whole blocks.
 #[inline(always)]
-#[expect(unsafe_code, reason = "see `cut`")]
+#[expect(unsafe_code, reason = "see `load`")]
 pub(crate) fn along<S: Simd>(s: S, kernel: &Kernel, padded: &[f32], width: usize, out: &mut [f32]) {
     let (r, width) = (kernel.radius(), width.next_multiple_of(BLOCK));
     assert!(padded.len() >= width + 2 * r);
@@ -168,7 +168,7 @@ pub(crate) fn along<S: Simd>(s: S, kernel: &Kernel, padded: &[f32], width: usize
         let weight = f32x16::splat(s, kernel.half[0]);
         for k in 0..2 {
             // SAFETY: `centre + BLOCK` is at most `width + r`.
-            let v = f32x16::from_slice(s, unsafe { cut::<16>(padded, centre + 16 * k) });
+            let v = unsafe { load(s, padded, centre + 16 * k) };
             sum[k] = v * weight;
         }
         for (i, &weight) in kernel.half.iter().enumerate().skip(1) {
@@ -177,12 +177,11 @@ pub(crate) fn along<S: Simd>(s: S, kernel: &Kernel, padded: &[f32], width: usize
                 // SAFETY: i is at most r, so this lies within `width + 2 r` values.
                 let (left, right) = unsafe {
                     (
-                        cut::<16>(padded, centre - i + 16 * k),
-                        cut::<16>(padded, centre + i + 16 * k),
+                        load(s, padded, centre - i + 16 * k),
+                        load(s, padded, centre + i + 16 * k),
                     )
                 };
-                let both = f32x16::from_slice(s, left) + f32x16::from_slice(s, right);
-                sum[k] = both.mul_add(weight, sum[k]);
+                sum[k] = (left + right).mul_add(weight, sum[k]);
             }
         }
         for k in 0..2 {
@@ -194,7 +193,7 @@ pub(crate) fn along<S: Simd>(s: S, kernel: &Kernel, padded: &[f32], width: usize
 /// A row doubled and blurred along itself: `out[2 x]` and `out[2 x + 1]` from `padded[x..=x + 2 radius]`, `width` columns of
 /// `out` rounded up to whole blocks.
 #[inline(always)]
-#[expect(unsafe_code, reason = "see `cut`")]
+#[expect(unsafe_code, reason = "see `load`")]
 pub(crate) fn along_doubled<S: Simd>(
     s: S,
     kernel: &Doubling,
@@ -207,15 +206,15 @@ pub(crate) fn along_doubled<S: Simd>(
     for (block, out) in out[..width].chunks_exact_mut(BLOCK).enumerate() {
         let centre = block * (BLOCK / 2) + r;
         // SAFETY: `centre + 16` is at most `width / 2 + r`.
-        let mut right = f32x16::from_slice(s, unsafe { cut::<16>(padded, centre) });
+        let mut right = unsafe { load(s, padded, centre) };
         let mut even = right * kernel.half[0][0];
         let mut odd = f32x16::splat(s, 0.0);
         let mut left = right;
         for (i, &[weight_even, weight_odd]) in kernel.half.iter().enumerate().skip(1) {
             // SAFETY: i is at most r, so these lie within `width / 2 + 2 r` values.
-            right = f32x16::from_slice(s, unsafe { cut::<16>(padded, centre + i) });
+            right = unsafe { load(s, padded, centre + i) };
             odd = (left + right).mul_add(f32x16::splat(s, weight_odd), odd);
-            left = f32x16::from_slice(s, unsafe { cut::<16>(padded, centre - i) });
+            left = unsafe { load(s, padded, centre - i) };
             even = (left + right).mul_add(f32x16::splat(s, weight_even), even);
         }
         let (low, high) = even.interleave(odd);

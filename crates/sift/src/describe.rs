@@ -36,7 +36,7 @@ pub(crate) fn describe<S: Simd>(
     angle: f32,
 ) -> Descriptor {
     let patch = Patch::sample(s, plane, x, y, sigma, angle);
-    finish(&patch.histogram(s, weights))
+    finish(s, &patch.histogram(s, weights))
 }
 
 /// Samples per side that vote.
@@ -274,7 +274,8 @@ mod tests {
     use crate::simd::at_level;
 
     fn describe(plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> Descriptor {
-        finish(&histogram(plane, x, y, sigma, angle))
+        let histogram = histogram(plane, x, y, sigma, angle);
+        at_level!(Token::best(), s => finish(s, &histogram))
     }
 
     /// At the best level, after a look whether the others agree.

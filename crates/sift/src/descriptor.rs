@@ -1,10 +1,12 @@
 //! The descriptor as bytes.
 
+use fearless_simd::{Simd, f32x8, i32x8, prelude::*};
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::ser::SerializeTuple;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::SiftError;
+use crate::simd::sum;
 
 /// Greatest share of one component before the second normalisation.
 const CUT: f32 = 0.2;
@@ -66,17 +68,36 @@ impl Descriptor {
 
 /// Normalise, cut, normalise, square root of the share, bytes. What is negative or not a number counts as 0.
 #[inline(always)]
-pub(crate) fn finish(histogram: &[f32; 128]) -> Descriptor {
-    let norm = |v: &[f32; 128]| v.iter().map(|v| v * v).sum::<f32>().sqrt();
-    let scale = 1.0 / norm(histogram).max(f32::MIN_POSITIVE);
-    let cut = histogram.map(|v| {
-        let v = v * scale;
-        if v > 0.0 { v.min(CUT) } else { 0.0 }
-    });
+pub(crate) fn finish<S: Simd>(s: S, histogram: &[f32; 128]) -> Descriptor {
+    let zero = f32x8::splat(s, 0.0);
+    let mut norm_sq = zero;
+    for values in histogram.chunks_exact(8) {
+        let v = f32x8::from_slice(s, values);
+        norm_sq = v.mul_add(v, norm_sq);
+    }
+    let scale = 1.0 / sum(norm_sq).sqrt().max(f32::MIN_POSITIVE);
+    let cut = f32x8::splat(s, CUT);
+    let mut values = [0.0; 128];
+    let mut total = zero;
+    for (out, values) in values.chunks_exact_mut(8).zip(histogram.chunks_exact(8)) {
+        let v = f32x8::from_slice(s, values) * scale;
+        let v = v.simd_gt(zero).select(v.min(cut), zero);
+        v.store_slice(out);
+        total += v;
+    }
     // The second normalisation cancels in the division by the sum.
-    let scale = 1.0 / cut.iter().sum::<f32>().max(f32::MIN_POSITIVE);
-    let byte = |v: f32| ((QUANTUM * (v * scale).sqrt() + 0.5) as u8).min(Descriptor::MAX_COMPONENT);
-    Descriptor(cut.map(byte))
+    let scale = 1.0 / sum(total).max(f32::MIN_POSITIVE);
+    let most = f32x8::splat(s, f32::from(Descriptor::MAX_COMPONENT));
+    let half = f32x8::splat(s, 0.5);
+    let mut bytes = [0; 128];
+    for (out, values) in bytes.chunks_exact_mut(8).zip(values.chunks_exact(8)) {
+        let root = (f32x8::from_slice(s, values) * scale).sqrt();
+        let rounded: i32x8<S> = root.mul_add(f32x8::splat(s, QUANTUM), half).min(most).to_int();
+        for (out, v) in out.iter_mut().zip(rounded.to_array()) {
+            *out = v as u8;
+        }
+    }
+    Descriptor(bytes)
 }
 
 impl Serialize for Descriptor {
@@ -116,6 +137,15 @@ impl<'de> Deserialize<'de> for Descriptor {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simd::at_level;
+
+    fn at_every_level(histogram: &[f32; 128]) -> Descriptor {
+        let mut all =
+            crate::Simd::available().map(|token| at_level!(token, s => finish(s, histogram)));
+        let first = all.next().unwrap();
+        assert!(all.all(|d| d == first));
+        first
+    }
 
     #[test]
     fn bounds_are_kept_by_every_way_in() {
@@ -160,12 +190,12 @@ mod tests {
             std::array::from_fn(|i| if i % 2 == 0 { 30.5 * 30.5 } else { 7.5 * 7.5 }),
         ];
         for h in &histograms {
-            let d = finish(h);
+            let d = at_every_level(h);
             assert_eq!(Descriptor::new(*d.components()), Ok(d), "{h:?}");
         }
-        assert_eq!(finish(&histograms[0]), Descriptor::ZERO);
-        assert_eq!(finish(&histograms[1]).components(), &[22; 128]);
-        assert_eq!(finish(&histograms[2]).components()[3], 127);
+        assert_eq!(at_every_level(&histograms[0]), Descriptor::ZERO);
+        assert_eq!(at_every_level(&histograms[1]).components(), &[22; 128]);
+        assert_eq!(at_every_level(&histograms[2]).components()[3], 127);
     }
 
     #[test]

@@ -12,16 +12,20 @@
 use std::cmp::Ordering;
 use std::ops::Range;
 
-use fearless_simd::{Simd, f32x8, f32x16, prelude::*};
+use fearless_simd::{Simd, f32x4, f32x8, f32x16, prelude::*};
 
 use crate::Options;
 use crate::scale_space::{Levels, WINDOW};
+use crate::simd::sum;
 
 /// Extrema nearer to the image border than this, in pixels of their octave, are not looked at.
 const BORDER: usize = 5;
 
 /// Samples that are tested at once.
 const RUN: usize = 16;
+
+/// Samples whose outcome fits a word.
+const WORD: usize = 64;
 
 /// Moves of the quadratic fit to a neighbouring sample.
 const MAX_MOVES: usize = 5;
@@ -60,6 +64,10 @@ impl Extremum {
             .then(self.x.total_cmp(&other.x))
     }
 }
+
+/// A sample that leads to an extremum has at least this share of its response. Where the fit promises more it is not to be trusted,
+/// and with this rule no weaker sample can matter.
+const LEAST_SHARE: f32 = 0.8;
 
 /// What to look for in an octave.
 #[derive(Debug)]
@@ -104,7 +112,7 @@ impl Bar {
             return;
         }
         self.above.push(response);
-        if self.above.len() >= self.wanted.saturating_mul(2) {
+        if self.above.len() >= self.wanted.saturating_add(self.wanted / 4 + 1) {
             self.raise();
         }
     }
@@ -155,9 +163,9 @@ struct Differences<'a> {
     stride: usize,
 }
 
-impl Differences<'_> {
+impl<'a> Differences<'a> {
     #[inline(always)]
-    fn row(&self, layer: usize, y: usize) -> &[f32] {
+    fn row(&self, layer: usize, y: usize) -> &'a [f32] {
         &self.data[(3 * layer + y % 3) * self.stride..][..self.stride]
     }
 }
@@ -205,8 +213,7 @@ impl Scanner<'_> {
             .max(begin + levels.origin)
             - levels.origin;
         for (i, layer) in layers.enumerate() {
-            // The refined value is larger than the sample's, so the samples get some leeway.
-            let threshold = 0.8 * self.scan.thresholds[layer];
+            let threshold = LEAST_SHARE * self.scan.thresholds[layer].max(self.bar.weakest);
             self.hits.clear();
             scan_row(
                 s,
@@ -231,7 +238,7 @@ impl Scanner<'_> {
     }
 }
 
-/// Columns of the extrema in row `y` of the differences `layer` with |DoG| above `threshold`, into `hits`.
+/// Columns of the extrema in row `y` of the differences `layer` with |DoG| of at least `threshold`, into `hits`.
 #[inline(always)]
 fn scan_row<S: Simd>(
     s: S,
@@ -247,24 +254,36 @@ fn scan_row<S: Simd>(
     let (above, below) = (row(layer, y - 1), row(layer, y + 1));
     let (finer, coarser) = (row(layer - 1, y), row(layer + 1, y));
     let limit = f32x16::splat(s, threshold);
-    // Strength and the six nearest neighbours for a run at once: little remains for the rest of the test.
-    for start in columns.clone().step_by(RUN) {
-        let v = run(s, here, start);
-        let strong = v.abs().simd_gt(limit);
-        if !strong.any_true() {
+    for first in columns.clone().step_by(WORD) {
+        // Most of a picture is weak all over or strong here and there; which samples are candidates cannot be foretold, so they
+        // are found without a branch.
+        let mut strong = run(s, here, first).abs();
+        for k in 1..WORD / RUN {
+            strong = strong.max(run(s, here, first + k * RUN).abs());
+        }
+        if !strong.simd_ge(limit).any_true() {
             continue;
         }
-        let sides = (run(s, here, start - 1), run(s, here, start + 1));
-        let ends = (run(s, above, start), run(s, below, start));
-        let scales = (run(s, finer, start), run(s, coarser, start));
-        let most = (sides.0.max(sides.1)).max(ends.0.max(ends.1).max(scales.0.max(scales.1)));
-        let least = (sides.0.min(sides.1)).min(ends.0.min(ends.1).min(scales.0.min(scales.1)));
-        let candidate = strong & (v.simd_ge(most) | v.simd_le(least));
-        let mut bits = candidate.to_bitmask();
-        while bits != 0 {
-            let x = start + bits.trailing_zeros() as usize;
-            bits &= bits - 1;
-            if x < columns.end && is_extremum(differences, layer, x, y) {
+        // Strength and the six nearest neighbours: little remains for the rest of the test.
+        let mut candidates = 0;
+        for k in 0..WORD / RUN {
+            let start = first + k * RUN;
+            let v = run(s, here, start);
+            let sides = (run(s, here, start - 1), run(s, here, start + 1));
+            let ends = (run(s, above, start), run(s, below, start));
+            let scales = (run(s, finer, start), run(s, coarser, start));
+            let most = (sides.0.max(sides.1)).max(ends.0.max(ends.1).max(scales.0.max(scales.1)));
+            let least = (sides.0.min(sides.1)).min(ends.0.min(ends.1).min(scales.0.min(scales.1)));
+            let candidate = v.abs().simd_ge(limit) & (v.simd_ge(most) | v.simd_le(least));
+            candidates |= candidate.to_bitmask() << (k * RUN);
+        }
+        if columns.end - first < WORD {
+            candidates &= (1 << (columns.end - first)) - 1;
+        }
+        while candidates != 0 {
+            let x = first + candidates.trailing_zeros() as usize;
+            candidates &= candidates - 1;
+            if is_extremum(s, differences, layer, x, y) {
                 hits.push(x);
             }
         }
@@ -276,35 +295,36 @@ fn run<S: Simd>(s: S, row: &[f32], at: usize) -> f32x16<S> {
     f32x16::from_slice(s, &row[at..at + RUN])
 }
 
-/// Whether a sample beats its 26 neighbours; of equal ones the first in scan order does.
-fn is_extremum(differences: &Differences<'_>, layer: usize, x: usize, y: usize) -> bool {
-    let cut = |layer: usize, y: usize| &differences.row(layer, y)[x - 1..=x + 1];
-    let earlier = [
-        cut(layer, y - 1),
-        cut(layer - 1, y),
-        cut(layer - 1, y - 1),
-        cut(layer - 1, y + 1),
-    ];
-    let later = [
-        cut(layer, y + 1),
-        cut(layer + 1, y),
-        cut(layer + 1, y - 1),
-        cut(layer + 1, y + 1),
-    ];
-    let &[left, v, right] = cut(layer, y) else {
-        return false;
+/// Whether a sample, which is not 0, beats its 26 neighbours; of equal ones the first in scan order does.
+#[inline(always)]
+fn is_extremum<S: Simd>(
+    s: S,
+    differences: &Differences<'_>,
+    layer: usize,
+    x: usize,
+    y: usize,
+) -> bool {
+    // A minimum is a maximum of the negative values. Of four columns the last is none of the neighbours.
+    let [left, v, right, _] = cut(differences, layer, y, x);
+    let sign = 1.0_f32.copysign(*v);
+    let signs = f32x4::from_slice(s, &[sign, sign, sign, 0.0]);
+    let most = |rows: [(usize, usize); 4]| {
+        let [a, b, c, d] = rows;
+        let row = |(layer, y)| f32x4::from_slice(s, cut(differences, layer, y, x)) * signs;
+        row(a).max(row(b)).max(row(c).max(row(d)))
     };
-    if v > 0.0 {
-        v > left
-            && v >= right
-            && earlier.iter().all(|r| r.iter().all(|&n| v > n))
-            && later.iter().all(|r| r.iter().all(|&n| v >= n))
-    } else {
-        v < left
-            && v <= right
-            && earlier.iter().all(|r| r.iter().all(|&n| v < n))
-            && later.iter().all(|r| r.iter().all(|&n| v <= n))
-    }
+    let earlier = most([(layer, y - 1), (layer - 1, y), (layer - 1, y - 1), (layer - 1, y + 1)]);
+    let later = most([(layer, y + 1), (layer + 1, y), (layer + 1, y - 1), (layer + 1, y + 1)]);
+    let v = v.abs();
+    let beaten = earlier.simd_lt(f32x4::splat(s, v)) & later.simd_le(f32x4::splat(s, v));
+    beaten.all_true() && left * sign < v && right * sign <= v
+}
+
+/// The values from column x - 1 to x + 2.
+#[inline(always)]
+fn cut<'a>(differences: &Differences<'a>, layer: usize, y: usize, x: usize) -> &'a [f32; 4] {
+    let row = differences.row(layer, y);
+    row[x - 1..x + 3].try_into().expect("four values")
 }
 
 /// Values of a 3 x 3 x 3 neighbourhood, indexed by layer, row, column.
@@ -449,13 +469,6 @@ impl Neighbourhood<'_> {
     }
 }
 
-/// Sum of the lanes, in the same order at every level.
-#[inline(always)]
-fn sum<S: Simd>(v: f32x8<S>) -> f32 {
-    let v = v.to_array();
-    ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]))
-}
-
 /// Weights of the six samples -2..=3 for the value at `t` in 0..1 (Lagrange, exact for polynomials of degree 5).
 #[inline(always)]
 fn lagrange(t: f64) -> [f32; 6] {
@@ -487,9 +500,13 @@ fn refine<S: Simd>(
     } = *scan;
     let (w, h) = around.levels.size;
     let ([mut x, mut y], mut layer) = (start, layer);
+    let mut value = 0.0;
     let mut moves = 0;
     let (fit, offset) = loop {
         let fit = Quadratic::of(&around.cube_at(layer, x, y));
+        if moves == 0 {
+            value = fit.value.abs() as f32;
+        }
         let offset = fit.offset()?;
         if offset.iter().all(|o| o.abs() <= MOVE_BEYOND) {
             break (fit, offset);
@@ -518,6 +535,9 @@ fn refine<S: Simd>(
         }
     };
     let response = fit.peak(&offset).abs() as f32;
+    if value < LEAST_SHARE * response {
+        return None;
+    }
     if response < thresholds[layer] || !fit.is_blob(f64::from(options.edge_ratio)) {
         return None;
     }
@@ -605,7 +625,7 @@ mod tests {
     /// Random rows with many equal values, so that ties come up.
     #[test]
     fn the_scan_finds_what_the_definition_does() {
-        let (stride, layers) = (96, 3);
+        let (stride, layers) = (160, 3);
         let mut state = 1_u64;
         let mut next = || {
             state = state
@@ -640,7 +660,7 @@ mod tests {
                             _ => v < n || (!earlier && v == n),
                         }
                     };
-                    v.abs() > 0.25 && (0..27).all(|k| beats(k / 9, k / 3 % 3, k % 3))
+                    v.abs() >= 0.25 && (0..27).all(|k| beats(k / 9, k / 3 % 3, k % 3))
                 })
                 .collect();
             total += expected.len();

@@ -18,6 +18,9 @@ const MIN_OCTAVE_SIZE: usize = 12;
 /// Fewer rows than this are not worth a thread: its overlap with the neighbours would be most of the work.
 const LEAST_ROWS: usize = 64;
 
+/// Extrema that a thread orients and describes in one go.
+const PORTION: usize = 16;
+
 /// Detects and describes features: checked options, an instruction set, and buffers that are kept from image to image.
 ///
 /// The result is the same on any number of threads.
@@ -106,7 +109,7 @@ impl Sift {
     }
 
     /// The first `max_features` keypoints of `found`, each with what `make` makes of it.
-    fn oriented<T: Send>(
+    fn oriented<T: Copy + Send>(
         &self,
         found: &[Extremum],
         make: impl Fn(&Extremum, f32) -> T + Sync,
@@ -120,19 +123,23 @@ impl Sift {
             let count = (missing - missing / 4).max(32).min(rest.len());
             let (now, later) = rest.split_at(count);
             rest = later;
-            let mut made: Vec<(usize, Vec<(Keypoint, T)>)> = walk(now)
-                .into_par_iter()
-                .with_min_len(8)
-                .map(|i| {
-                    let e = &now[i];
-                    let features = (self.orientations(e).iter())
-                        .map(|&angle| (keypoint(e, angle), make(e, angle)))
-                        .collect();
-                    (i, features)
+            let made: Vec<Vec<(usize, Keypoint, T)>> = walk(now)
+                .par_chunks(PORTION)
+                .map(|portion| {
+                    let mut made = Vec::with_capacity(2 * PORTION);
+                    for &i in portion {
+                        let e = &now[i];
+                        for &angle in self.orientations(e).iter() {
+                            made.push((i, keypoint(e, angle), make(e, angle)));
+                        }
+                    }
+                    made
                 })
                 .collect();
-            made.sort_unstable_by_key(|(i, _)| *i);
-            features.extend(made.into_iter().flat_map(|(_, f)| f));
+            // Back into order of strength.
+            let mut order: Vec<&(usize, Keypoint, T)> = made.iter().flatten().collect();
+            order.sort_by_key(|(i, ..)| *i);
+            features.extend(order.into_iter().map(|&(_, keypoint, t)| (keypoint, t)));
         }
         features.truncate(wanted);
         features

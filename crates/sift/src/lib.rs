@@ -34,6 +34,7 @@
     reason = "kernels walk several arrays of vectors side by side, and closures would hide from the compiler which instructions it may use"
 )]
 
+mod aligned;
 mod blur;
 mod contrast;
 mod describe;

@@ -14,6 +14,7 @@ use std::ops::Range;
 use fearless_simd::{Simd, f32x8, prelude::*};
 
 use crate::GrayImage;
+use crate::aligned::{Aligned, LINE};
 use crate::blur::{BLOCK, Doubling, Kernel, along, along_doubled, down, mirrored};
 
 /// Columns of a tile, without its overlap.
@@ -115,7 +116,7 @@ fn copy_even<S: Simd>(s: S, row: &[f32], out: &mut [f32]) {
 /// The last rows of one level within a tile.
 #[derive(Debug, Default)]
 struct Ring {
-    data: Vec<f32>,
+    data: Aligned,
     stride: usize,
     /// Rows that are kept.
     kept: usize,
@@ -182,7 +183,7 @@ impl Ring {
 #[derive(Debug, Default)]
 pub(crate) struct Scratch {
     rings: Vec<Ring>,
-    padded: [Vec<f32>; 2],
+    padded: [Aligned; 2],
     starts: Vec<usize>,
     /// For the visitor.
     pub(crate) rows: Vec<f32>,
@@ -364,7 +365,7 @@ impl Chain<'_> {
         level: usize,
         count: usize,
         rings: &mut [Ring],
-        padded: &mut [Vec<f32>; 2],
+        padded: &mut [Aligned; 2],
         starts: &mut Vec<usize>,
     ) -> bool {
         let (before, from) = rings.split_at_mut(level);
@@ -431,7 +432,7 @@ impl Chain<'_> {
         rows: &Range<usize>,
         columns: &Range<usize>,
         rings: &mut Vec<Ring>,
-        padded: &mut [Vec<f32>; 2],
+        padded: &mut [Aligned; 2],
     ) -> usize {
         let (w, h) = self.size;
         rings.resize_with(self.levels.len(), Ring::default);
@@ -487,6 +488,8 @@ impl Chain<'_> {
         .unwrap_or(0)
         .next_multiple_of(BLOCK)
             + 2 * BLOCK;
+        // An odd number of lines: rows one above the other then do not fight for the same places in the caches.
+        let stride = stride + LINE * (1 - stride / LINE % 2);
         for (level, ring) in rings.iter_mut().enumerate() {
             ring.next = ring.rows.start;
             ring.origin = if self.is_visible(level) {
@@ -496,10 +499,10 @@ impl Chain<'_> {
             };
             ring.stride = stride;
             // Old values may remain: whatever is read as a pixel has been computed before.
-            ring.data.resize(ring.kept * stride + BLOCK, 0.0);
+            ring.data.resize(ring.kept * stride + BLOCK);
         }
         for row in padded {
-            row.resize(stride + 2 * widest + 2 * BLOCK, 0.0);
+            row.resize(stride + 2 * widest + 2 * BLOCK);
         }
         origin
     }

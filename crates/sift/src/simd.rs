@@ -6,6 +6,8 @@
 
 use std::fmt;
 
+use fearless_simd::{f32x8, prelude::*};
+
 use crate::SiftError;
 
 /// The instruction sets that kernels are compiled for.
@@ -136,6 +138,13 @@ macro_rules! at_level {
     }};
 }
 pub(crate) use at_level;
+
+/// Sum of the lanes, in the same order at every level.
+#[inline(always)]
+pub(crate) fn sum<S: fearless_simd::Simd>(v: f32x8<S>) -> f32 {
+    let v = v.to_array();
+    ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]))
+}
 
 #[cfg(test)]
 mod tests {
