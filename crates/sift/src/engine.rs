@@ -8,12 +8,15 @@ use crate::describe::{Weights, describe};
 use crate::descriptor::Descriptor;
 use crate::detect::{Bar, Extremum, Scan, Scanner};
 use crate::orient::{Orientations, orientations};
-use crate::scale_space::{Chain, Make, Plane, Scratch, Source};
+use crate::scale_space::{Chain, Kept, Make, Plane, Scratch, Source};
 use crate::simd::at_level;
 use crate::{Features, GrayImage, Keypoint, Options, SiftError, Simd};
 
 /// Octaves smaller than this on either side are not searched: nothing would be left inside the detector's border.
 const MIN_OCTAVE_SIZE: usize = 12;
+
+/// Sigma in pixels from which every second pixel of every second row says enough.
+const SMOOTH: f64 = 2.3;
 
 /// Fewer rows than this are not worth a thread: its overlap with the neighbours would be most of the work.
 const LEAST_ROWS: usize = 64;
@@ -151,19 +154,26 @@ impl Sift {
         &self.work.octaves
     }
 
-    /// The Gaussian layer in which an extremum is oriented and described.
-    fn plane_of(&self, e: &Extremum) -> &Plane {
-        &self.work.octaves[(e.octave - self.options.first_octave) as usize][e.layer]
+    /// The Gaussian layer in which an extremum is oriented and described, with its position and sigma there.
+    fn place_of(&self, e: &Extremum) -> (&Plane, [f32; 3]) {
+        let octave = (e.octave - self.options.first_octave) as usize;
+        let (plane, scale) = if e.layer + 1 < self.options.intervals {
+            let plane = &self.work.octaves[octave][e.layer + 1];
+            (plane, 1.0 / plane.pitch as f32)
+        } else {
+            (&self.work.octaves[octave + 1][0], 0.5)
+        };
+        (plane, [e.x, e.y, e.sigma].map(|v| scale * v))
     }
 
     fn orientations(&self, e: &Extremum) -> Orientations {
-        let plane = self.plane_of(e);
-        at_level!(self.simd, s => orientations(s, plane, e.x, e.y, e.sigma))
+        let (plane, [x, y, sigma]) = self.place_of(e);
+        at_level!(self.simd, s => orientations(s, plane, x, y, sigma))
     }
 
     fn describe(&self, e: &Extremum, angle: f32) -> Descriptor {
-        let plane = self.plane_of(e);
-        at_level!(self.simd, s => describe(s, &self.weights, plane, e.x, e.y, e.sigma, angle))
+        let (plane, [x, y, sigma]) = self.place_of(e);
+        at_level!(self.simd, s => describe(s, &self.weights, plane, x, y, sigma, angle))
     }
 
     /// The strongest extrema in order of their strength; leaves the planes around them in the workspace.
@@ -200,14 +210,15 @@ impl Sift {
                     Make::Taken(source),
                     Make::Blurred(Kernel::gaussian(between(blurred, 2.0 * sigma))),
                 ],
-                kept: 0..0,
-                halved: Some(1),
+                kept: vec![Kept {
+                    level: 1,
+                    halved: true,
+                }],
             };
             run(
                 *simd,
                 &chain,
-                &mut [],
-                Some(&mut from[0]),
+                vec![&mut from[0]],
                 &mut work.scratch,
                 None,
             );
@@ -229,7 +240,11 @@ impl Sift {
             let (levels, base): (Vec<Make<'_>>, usize) = match (before.last(), work.reduced.last())
             {
                 (Some(finer), _) => {
-                    let finest = Make::Taken(Source::Halved(&finer[options.intervals - 1]));
+                    let finest = &finer[options.intervals - 1];
+                    let finest = Make::Taken(match finest.pitch {
+                        1 => Source::Halved(finest),
+                        _ => Source::Whole(finest),
+                    });
                     let taken = [finest, Make::Taken(Source::Whole(&layer_0[0]))].into_iter();
                     (taken.chain(steps).collect(), 1)
                 }
@@ -277,14 +292,18 @@ impl Sift {
             let chain = Chain {
                 levels,
                 size,
-                kept: base + 1..base + options.intervals,
-                halved: Some(base + options.intervals),
+                kept: (1 + usize::from(octave == 0)..=options.intervals)
+                    .map(|layer| Kept {
+                        level: base + layer,
+                        halved: layer == options.intervals || sigma_at(layer) >= SMOOTH,
+                    })
+                    .collect(),
             };
+            let planes: Vec<&mut Plane> = layers_after.iter_mut().skip(usize::from(octave == 0)).chain([&mut next[0]]).collect();
             let mut new = run(
                 *simd,
                 &chain,
-                layers_after,
-                Some(&mut next[0]),
+                planes,
                 &mut work.scratch,
                 Some(&scan),
             );
@@ -317,33 +336,27 @@ fn walk(found: &[Extremum]) -> Vec<usize> {
     walk
 }
 
-/// Pushes `source` through `chain` into `planes`, band by band on all threads, and looks for extrema on the way.
+/// Makes the levels of `chain`, band by band on all threads, with what is kept of them in `planes`, and looks for extrema on the
+/// way.
 fn run(
     simd: Simd,
     chain: &Chain<'_>,
-    planes: &mut [Plane],
-    halved: Option<&mut Plane>,
+    planes: Vec<&mut Plane>,
     scratch: &mut Vec<Scratch>,
     scan: Option<&Scan<'_>>,
 ) -> Vec<Extremum> {
     let (w, h) = chain.size;
-    planes.iter_mut().for_each(|p| p.resize(w, h));
     let bands = rayon::current_num_threads().min(h / LEAST_ROWS).max(1);
     let band = h.div_ceil(bands).next_multiple_of(2);
     let mut parts: Vec<Vec<&mut [f32]>> = Vec::new();
     parts.resize_with(h.div_ceil(band), Vec::new);
-    for plane in planes {
-        for (part, rows) in parts.iter_mut().zip(plane.data.chunks_mut(band * w)) {
+    for (plane, kept) in planes.into_iter().zip(&chain.kept) {
+        plane.resize(kept.count(w), kept.count(h));
+        plane.pitch = if kept.halved { 2 } else { 1 };
+        let rows = plane.data.chunks_mut(kept.count(band) * kept.count(w));
+        for (part, rows) in parts.iter_mut().zip(rows) {
             part.push(rows);
         }
-    }
-    if let Some(plane) = halved {
-        plane.resize(w.div_ceil(2), h.div_ceil(2));
-        let rows = plane.data.chunks_mut(band / 2 * plane.width);
-        parts
-            .iter_mut()
-            .zip(rows)
-            .for_each(|(part, rows)| part.push(rows));
     }
     if scratch.len() < parts.len() {
         scratch.resize_with(parts.len(), Scratch::default);

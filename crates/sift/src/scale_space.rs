@@ -31,6 +31,8 @@ const WINDOW_COLUMNS: usize = 10;
 pub(crate) struct Plane {
     pub(crate) width: usize,
     pub(crate) height: usize,
+    /// Pixels of its octave from one pixel to the next: 1 or 2.
+    pub(crate) pitch: usize,
     pub(crate) data: Vec<f32>,
 }
 
@@ -228,10 +230,23 @@ pub(crate) struct Chain<'a> {
     pub(crate) levels: Vec<Make<'a>>,
     /// Columns and rows of the octave.
     pub(crate) size: (usize, usize),
-    /// Levels that are copied to planes.
-    pub(crate) kept: Range<usize>,
-    /// The level of which every second pixel of every second row is copied to a plane.
-    pub(crate) halved: Option<usize>,
+    /// What is copied to planes.
+    pub(crate) kept: Vec<Kept>,
+}
+
+/// A level that is copied to a plane.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Kept {
+    pub(crate) level: usize,
+    /// Whether only every second pixel of every second row is copied, starting with the first.
+    pub(crate) halved: bool,
+}
+
+impl Kept {
+    /// Pixels of the level in `n` pixels of a row or column.
+    pub(crate) fn count(self, n: usize) -> usize {
+        if self.halved { n.div_ceil(2) } else { n }
+    }
 }
 
 impl Chain<'_> {
@@ -270,8 +285,8 @@ impl Chain<'_> {
 
     /// Computes the levels for the tile `rows` x `columns`.
     ///
-    /// `planes[i]` takes the tile's rows of level `kept.start + i`: whole rows of the octave, beginning with `rows.start`, which
-    /// is even. The plane after those takes the halved level.
+    /// `planes[i]` takes what is kept of the tile's rows of level `kept[i]`: whole rows of the octave, beginning with
+    /// `rows.start`, which is even.
     /// `visit` is called for each row of the tile in order, with all levels within [`WINDOW`] rows of it.
     #[inline(always)]
     pub(crate) fn sweep<S: Simd>(
@@ -306,21 +321,22 @@ impl Chain<'_> {
                 moved = true;
                 let ring = &mut rings[level];
                 ring.next += count;
-                if self.kept.contains(&level) {
-                    let plane = &mut planes[level - self.kept.start];
-                    for y in (y..y + count).filter(|y| rows.contains(y)) {
-                        let from = ring.start(y) + (columns.start - ring.origin);
-                        plane[(y - rows.start) * w..][columns.clone()]
-                            .copy_from_slice(&ring.data[from..from + columns.len()]);
+                for (kept, plane) in self.kept.iter().zip(planes.iter_mut()) {
+                    if kept.level != level {
+                        continue;
                     }
-                }
-                if self.halved == Some(level) {
-                    let plane = &mut planes[self.kept.len()];
-                    let half = columns.start.div_ceil(2)..columns.end.div_ceil(2);
-                    for y in (y..y + count).filter(|y| rows.contains(y) && y % 2 == 0) {
-                        let from = ring.start(y) + (2 * half.start - ring.origin);
-                        let out = &mut plane[(y - rows.start) / 2 * w.div_ceil(2)..][half.clone()];
-                        copy_even(s, &ring.data[from..from + 2 * half.len()], out);
+                    let columns = kept.count(columns.start)..kept.count(columns.end);
+                    let pitch = if kept.halved { 2 } else { 1 };
+                    for y in (y..y + count).filter(|y| rows.contains(y) && y % pitch == 0) {
+                        let from = ring.start(y) + (columns.start * pitch - ring.origin);
+                        let row = &ring.data[from..from + columns.len() * pitch];
+                        let out = &mut plane[(y - rows.start) / pitch * kept.count(w)..];
+                        let out = &mut out[columns.clone()];
+                        if kept.halved {
+                            copy_even(s, row, out);
+                        } else {
+                            out.copy_from_slice(row);
+                        }
                     }
                 }
             }
@@ -662,6 +678,11 @@ mod tests {
                                     continue;
                                 }
                                 let found = &planes[octave][layer];
+                                let expected = if found.pitch == 2 {
+                                    &expected.halved()
+                                } else {
+                                    expected
+                                };
                                 assert_eq!(
                                     (found.width, found.height),
                                     (expected.width, expected.height)
