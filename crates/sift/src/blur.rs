@@ -87,7 +87,12 @@ impl Doubling {
 }
 
 /// Index in `0..n` of position `i` in a line of n pixels mirrored about its end pixels (`d c b | a b c d | c b a`).
+#[inline]
 pub(crate) fn mirrored(i: isize, n: usize) -> usize {
+    let near = if i < 0 { -i } else { i } as usize;
+    if near < n {
+        return near;
+    }
     if n == 1 {
         return 0;
     }

@@ -304,6 +304,7 @@ mod tests {
         Plane {
             width: 80,
             height: 80,
+            pitch: 1,
             data,
         }
     }

@@ -92,7 +92,10 @@ pub(crate) fn finish<S: Simd>(s: S, histogram: &[f32; 128]) -> Descriptor {
     let mut bytes = [0; 128];
     for (out, values) in bytes.chunks_exact_mut(8).zip(values.chunks_exact(8)) {
         let root = (f32x8::from_slice(s, values) * scale).sqrt();
-        let rounded: i32x8<S> = root.mul_add(f32x8::splat(s, QUANTUM), half).min(most).to_int();
+        let rounded: i32x8<S> = root
+            .mul_add(f32x8::splat(s, QUANTUM), half)
+            .min(most)
+            .to_int();
         for (out, v) in out.iter_mut().zip(rounded.to_array()) {
             *out = v as u8;
         }

@@ -15,6 +15,7 @@ use std::ops::Range;
 use fearless_simd::{Simd, f32x4, f32x8, f32x16, prelude::*};
 
 use crate::Options;
+use crate::aligned::Aligned;
 use crate::scale_space::{Levels, WINDOW};
 use crate::simd::sum;
 
@@ -88,7 +89,7 @@ pub(crate) struct Scan<'a> {
 ///
 /// The answer only leaves out what the final choice would leave out too, so it does not matter in which order, or in how many
 /// parts, the extrema come.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Bar {
     /// As many extrema as are wanted.
     wanted: usize,
@@ -98,12 +99,10 @@ pub(crate) struct Bar {
 }
 
 impl Bar {
-    pub(crate) fn new(wanted: usize, weakest: f32) -> Self {
-        Self {
-            wanted,
-            weakest,
-            above: Vec::new(),
-        }
+    /// Forgets what it has seen; extrema below `weakest` do not count.
+    pub(crate) fn begin(&mut self, wanted: usize, weakest: f32) {
+        (self.wanted, self.weakest) = (wanted, weakest);
+        self.above.clear();
     }
 
     /// Takes the response of one more extremum, which no other call reports.
@@ -129,31 +128,35 @@ impl Bar {
     }
 }
 
-/// Finds the extrema of some tiles, row by row.
-pub(crate) struct Scanner<'a> {
-    scan: &'a Scan<'a>,
-    /// What was found, in order of row, layer, column.
-    pub(crate) found: Vec<Extremum>,
-    /// The next row of differences to compute.
-    next: usize,
-    hits: Vec<usize>,
+/// Finds the extrema of the tiles of a band, row by row, with memory that is kept from one to the next.
+#[derive(Debug, Default)]
+pub(crate) struct Scanner {
+    /// See [`Differences`].
+    differences: Aligned,
+    /// Samples that beat their neighbours, in order of row, and wait until all rows that the fit may look at are there.
+    hits: Vec<Hit>,
+    found: Vec<Extremum>,
     bar: Bar,
 }
 
-impl<'a> Scanner<'a> {
-    pub(crate) fn new(scan: &'a Scan<'a>) -> Self {
-        Self {
-            scan,
-            found: Vec::new(),
-            next: 0,
-            hits: Vec::new(),
-            bar: Bar::new(scan.options.max_features, scan.weakest),
-        }
+/// A sample that beats its neighbours.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Hit {
+    layer: usize,
+    x: usize,
+    y: usize,
+}
+
+impl Scanner {
+    /// Forgets what was found.
+    pub(crate) fn begin(&mut self, scan: &Scan<'_>) {
+        self.found.clear();
+        self.bar.begin(scan.options.max_features, scan.weakest);
     }
 
-    /// Begins a tile whose rows begin with `first_row`.
-    pub(crate) fn begin(&mut self, first_row: usize) {
-        self.next = first_row.saturating_sub(1);
+    /// What was found, and how strong it must be to count.
+    pub(crate) fn found(&mut self) -> (&[Extremum], f32) {
+        (&self.found, self.bar.raise())
     }
 }
 
@@ -170,75 +173,79 @@ impl<'a> Differences<'a> {
     }
 }
 
-impl Scanner<'_> {
-    /// Looks for extrema in row `y`, with `rows` as memory between the calls.
+impl Scanner {
+    /// Takes row `y`, the next one; looks for extrema in the row before.
     #[inline(always)]
-    pub(crate) fn visit<S: Simd>(
-        &mut self,
-        s: S,
-        levels: &Levels<'_>,
-        rows: &mut Vec<f32>,
-        y: usize,
-    ) {
+    pub(crate) fn visit<S: Simd>(&mut self, s: S, scan: &Scan<'_>, levels: &Levels<'_>, y: usize) {
         let (w, h) = levels.size;
-        if y < BORDER || y + BORDER >= h || w <= 2 * BORDER {
+        if w <= 2 * BORDER || h <= 2 * BORDER {
             return;
         }
         // The differences of the layers to search, and of one more before and after.
-        let layers = self.scan.layers.clone();
+        let layers = scan.layers.clone();
         let count = layers.len() + 2;
-        let finest = self.scan.base + layers.start - 1;
-        let stride = levels.row(self.scan.base, y).len();
-        rows.resize(3 * count * stride, 0.0);
-        for y in self.next.max(y - 1)..=y + 1 {
+        let finest = scan.base + layers.start - 1;
+        let stride = levels.row(finest, y).len();
+        self.differences.resize(3 * count * stride);
+        if (levels.rows.start..levels.rows.end + 2).contains(&(y + 1)) {
             for i in 0..count {
                 let (fine, coarse) = (levels.row(finest + i, y), levels.row(finest + i + 1, y));
-                let out = &mut rows[(3 * i + y % 3) * stride..][..stride];
-                for ((out, a), b) in out
-                    .chunks_exact_mut(16)
-                    .zip(fine.chunks_exact(16))
-                    .zip(coarse.chunks_exact(16))
+                let out = &mut self.differences[(3 * i + y % 3) * stride..][..stride];
+                for ((out, a), b) in (out.chunks_exact_mut(RUN))
+                    .zip(fine.chunks_exact(RUN))
+                    .zip(coarse.chunks_exact(RUN))
                 {
-                    (f32x16::from_slice(s, b) - f32x16::from_slice(s, a)).store_slice(out);
+                    (run(s, b, 0) - run(s, a, 0)).store_slice(out);
                 }
             }
         }
-        self.next = y + 2;
-        let differences = Differences { data: rows, stride };
-        let begin = levels.columns.start.max(BORDER) - levels.origin;
-        let end = levels
-            .columns
-            .end
-            .min(w - BORDER)
-            .max(begin + levels.origin)
-            - levels.origin;
-        for (i, layer) in layers.enumerate() {
-            let threshold = LEAST_SHARE * self.scan.thresholds[layer].max(self.bar.weakest);
-            self.hits.clear();
-            scan_row(
-                s,
-                &differences,
-                i + 1,
-                y,
-                threshold,
-                begin..end,
-                &mut self.hits,
-            );
-            let around = Neighbourhood {
-                levels,
-                base: self.scan.base,
+        let begin = levels.columns.start.max(BORDER);
+        let end = levels.columns.end.min(w - BORDER);
+        if let Some(y) = y.checked_sub(1)
+            && levels.rows.contains(&y)
+            && (BORDER..h - BORDER).contains(&y)
+            && begin < end
+        {
+            let columns = begin - levels.origin..end - levels.origin;
+            let differences = Differences {
+                data: &self.differences,
+                stride,
             };
-            for &x in &self.hits {
-                let sample = [x + levels.origin, y];
-                if let Some(e) = refine(s, &around, self.scan, sample, layer, &mut self.bar) {
-                    self.found.push(e);
-                }
+            for (i, layer) in layers.enumerate() {
+                let threshold = LEAST_SHARE * scan.thresholds[layer].max(self.bar.weakest);
+                scan_row(
+                    s,
+                    &differences,
+                    i + 1,
+                    y,
+                    threshold,
+                    columns.clone(),
+                    #[inline(always)]
+                    |x| {
+                        let x = x + levels.origin;
+                        self.hits.push(Hit { layer, x, y });
+                    },
+                );
             }
         }
+        let last = if y + 1 == levels.end { usize::MAX } else { y };
+        let ready = (self.hits.iter())
+            .take_while(|hit| hit.y + WINDOW <= last)
+            .count();
+        let around = Neighbourhood {
+            levels,
+            base: scan.base,
+        };
+        for hit in &self.hits[..ready] {
+            if let Some(e) = refine(s, &around, scan, *hit, &mut self.bar) {
+                self.found.push(e);
+            }
+        }
+        self.hits.drain(..ready);
     }
 }
 
-/// Columns of the extrema in row `y` of the differences `layer` with |DoG| of at least `threshold`, into `hits`.
+/// Columns of the extrema in row `y` of the differences `layer` with |DoG| of at least `threshold`, one by one to `hit`.
 #[inline(always)]
 fn scan_row<S: Simd>(
     s: S,
@@ -247,7 +254,7 @@ fn scan_row<S: Simd>(
     y: usize,
     threshold: f32,
     columns: Range<usize>,
-    hits: &mut Vec<usize>,
+    mut hit: impl FnMut(usize),
 ) {
     let row = |layer: usize, y: usize| differences.row(layer, y);
     let here = row(layer, y);
@@ -284,7 +291,7 @@ fn scan_row<S: Simd>(
             let x = first + candidates.trailing_zeros() as usize;
             candidates &= candidates - 1;
             if is_extremum(s, differences, layer, x, y) {
-                hits.push(x);
+                hit(x);
             }
         }
     }
@@ -313,8 +320,18 @@ fn is_extremum<S: Simd>(
         let row = |(layer, y)| f32x4::from_slice(s, cut(differences, layer, y, x)) * signs;
         row(a).max(row(b)).max(row(c).max(row(d)))
     };
-    let earlier = most([(layer, y - 1), (layer - 1, y), (layer - 1, y - 1), (layer - 1, y + 1)]);
-    let later = most([(layer, y + 1), (layer + 1, y), (layer + 1, y - 1), (layer + 1, y + 1)]);
+    let earlier = most([
+        (layer, y - 1),
+        (layer - 1, y),
+        (layer - 1, y - 1),
+        (layer - 1, y + 1),
+    ]);
+    let later = most([
+        (layer, y + 1),
+        (layer + 1, y),
+        (layer + 1, y - 1),
+        (layer + 1, y + 1),
+    ]);
     let v = v.abs();
     let beaten = earlier.simd_lt(f32x4::splat(s, v)) & later.simd_le(f32x4::splat(s, v));
     beaten.all_true() && left * sign < v && right * sign <= v
@@ -413,17 +430,19 @@ impl Neighbourhood<'_> {
     /// The neighbourhood of a sample.
     #[inline(always)]
     fn cube_at(&self, layer: usize, x: usize, y: usize) -> Cube {
-        let gaussian: [[[f32; 3]; 3]; 4] = std::array::from_fn(|s| {
-            std::array::from_fn(|j| {
-                let row = &self.gaussian(self.base + layer + s - 1, x - 1, y + j - 1)[..3];
-                [row[0], row[1], row[2]]
-            })
-        });
-        std::array::from_fn(|s| {
-            std::array::from_fn(|j| {
-                std::array::from_fn(|i| f64::from(gaussian[s + 1][j][i] - gaussian[s][j][i]))
-            })
-        })
+        let mut cube = [[[0.0; 3]; 3]; 3];
+        for j in 0..3 {
+            let row = |k: usize| &self.gaussian(self.base + layer + k - 1, x - 1, y + j - 1)[..3];
+            let mut fine = row(0);
+            for (k, cube) in cube.iter_mut().enumerate() {
+                let coarse = row(k + 1);
+                for i in 0..3 {
+                    cube[j][i] = f64::from(coarse[i] - fine[i]);
+                }
+                fine = coarse;
+            }
+        }
+        cube
     }
 
     /// The neighbourhood of a place between samples, at least 4 pixels from the border.
@@ -473,11 +492,19 @@ impl Neighbourhood<'_> {
 #[inline(always)]
 fn lagrange(t: f64) -> [f32; 6] {
     const DENOMINATORS: [f64; 6] = [-120.0, 24.0, -12.0, 12.0, -24.0, 120.0];
-    let d: [f64; 6] = std::array::from_fn(|i| t + 2.0 - i as f64);
-    std::array::from_fn(|i| {
-        let product: f64 = (0..6).filter(|&k| k != i).map(|k| d[k]).product();
-        (product / DENOMINATORS[i]) as f32
-    })
+    // Products of the distances to all samples before, then to all after.
+    let mut weights = [1.0; 6];
+    let mut before = 1.0;
+    for (i, weight) in weights.iter_mut().enumerate() {
+        *weight = before;
+        before *= t + 2.0 - i as f64;
+    }
+    let (mut after, mut out) = (1.0, [0.0; 6]);
+    for i in (0..6).rev() {
+        out[i] = (weights[i] * after / DENOMINATORS[i]) as f32;
+        after *= t + 2.0 - i as f64;
+    }
+    out
 }
 
 /// Follows the quadratic fit from a sample to its extremum; `None` when it leads away, is too weak, lies on an edge or is below the
@@ -487,8 +514,7 @@ fn refine<S: Simd>(
     s: S,
     around: &Neighbourhood<'_>,
     scan: &Scan<'_>,
-    start: [usize; 2],
-    layer: usize,
+    start: Hit,
     bar: &mut Bar,
 ) -> Option<Extremum> {
     let Scan {
@@ -499,13 +525,20 @@ fn refine<S: Simd>(
         ..
     } = *scan;
     let (w, h) = around.levels.size;
-    let ([mut x, mut y], mut layer) = (start, layer);
+    let Hit {
+        mut layer,
+        mut x,
+        mut y,
+    } = start;
     let mut value = 0.0;
     let mut moves = 0;
     let (fit, offset) = loop {
         let fit = Quadratic::of(&around.cube_at(layer, x, y));
         if moves == 0 {
             value = fit.value.abs() as f32;
+            if value < LEAST_SHARE * bar.weakest {
+                return None;
+            }
         }
         let offset = fit.offset()?;
         if offset.iter().all(|o| o.abs() <= MOVE_BEYOND) {
@@ -529,7 +562,7 @@ fn refine<S: Simd>(
             step(layer, offset[2])?,
         );
         let inside = (BORDER..w - BORDER).contains(&x) && (BORDER..h - BORDER).contains(&y);
-        let near = x.abs_diff(start[0]).max(y.abs_diff(start[1])) <= REACH;
+        let near = x.abs_diff(start.x).max(y.abs_diff(start.y)) <= REACH;
         if !inside || !near || !layers.contains(&layer) {
             return None;
         }
@@ -666,7 +699,7 @@ mod tests {
             total += expected.len();
             for simd in Token::available() {
                 let mut found = Vec::new();
-                at_level!(simd, s => scan_row(s, &rows, 1, 1, 0.25, begin..end, &mut found));
+                at_level!(simd, s => scan_row(s, &rows, 1, 1, 0.25, begin..end, |x| found.push(x)));
                 assert_eq!(found, expected, "{round}");
             }
         }

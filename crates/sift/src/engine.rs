@@ -7,7 +7,7 @@ use crate::contrast::Contrast;
 use crate::describe::{Weights, describe};
 use crate::descriptor::Descriptor;
 use crate::detect::{Bar, Extremum, Scan, Scanner};
-use crate::orient::{Orientations, orientations};
+use crate::orient::orientations;
 use crate::scale_space::{Chain, Kept, Make, Plane, Scratch, Source};
 use crate::simd::at_level;
 use crate::{Features, GrayImage, Keypoint, Options, SiftError, Simd};
@@ -40,12 +40,30 @@ pub struct Sift {
 /// What is kept from image to image.
 #[derive(Debug, Default)]
 struct Workspace {
-    /// Gaussian layers `0..=intervals` of each octave, the finest first: where keypoints are oriented and described.
+    /// Gaussian layers `0..intervals` of each octave, the finest first: where keypoints are oriented and described. Layer 0
+    /// of the first octave is left out.
     octaves: Vec<Vec<Plane>>,
     /// The image reduced to each octave before the first.
     reduced: Vec<Plane>,
     /// One for each band of rows that runs at the same time.
-    scratch: Vec<Scratch>,
+    bands: Vec<Band>,
+    bar: Bar,
+    found: Vec<Extremum>,
+    portions: Vec<Portion>,
+}
+
+/// What a thread needs to make its rows of an octave.
+#[derive(Debug, Default)]
+struct Band {
+    scratch: Scratch,
+    scanner: Scanner,
+}
+
+/// What a thread makes of some extrema, with the rank of the extremum.
+#[derive(Debug, Default)]
+struct Portion {
+    keypoints: Vec<(usize, Keypoint)>,
+    descriptors: Vec<Descriptor>,
 }
 
 impl Sift {
@@ -86,12 +104,10 @@ impl Sift {
     /// Keypoints with their orientations, not described: what [`detect_and_describe`](Self::detect_and_describe) gives, without
     /// the descriptors.
     pub fn detect(&mut self, image: &GrayImage) -> Vec<Keypoint> {
-        let found = self.extrema(image);
-        let features = self.oriented(&found, |_, _| ());
-        features
-            .into_iter()
-            .map(|(keypoint, ())| keypoint)
-            .collect()
+        rayon::scope(|_| {
+            self.extrema(image);
+            self.oriented(false).0
+        })
     }
 
     /// Detects, orients and describes the features of `image`: the `max_features` strongest, as strong as the extremum they
@@ -100,9 +116,11 @@ impl Sift {
     /// An image without structure, or too small for the first octave (fewer than 12 pixels on a side after doubling), gives no
     /// features.
     pub fn detect_and_describe(&mut self, image: &GrayImage) -> Features {
-        let found = self.extrema(image);
-        let features = self.oriented(&found, |e, angle| self.describe(e, angle));
-        let (keypoints, descriptors) = features.into_iter().unzip();
+        // All stages on the threads of the pool, with one way there and back.
+        let (keypoints, descriptors) = rayon::scope(|_| {
+            self.extrema(image);
+            self.oriented(true)
+        });
         Features {
             width: image.width(),
             height: image.height(),
@@ -111,41 +129,62 @@ impl Sift {
         }
     }
 
-    /// The first `max_features` keypoints of `found`, each with what `make` makes of it.
-    fn oriented<T: Copy + Send>(
-        &self,
-        found: &[Extremum],
-        make: impl Fn(&Extremum, f32) -> T + Sync,
-    ) -> Vec<(Keypoint, T)> {
+    /// The first `max_features` keypoints of the extrema found, with their descriptors if wanted.
+    fn oriented(&mut self, described: bool) -> (Vec<Keypoint>, Vec<Descriptor>) {
+        let mut portions = std::mem::take(&mut self.work.portions);
         let wanted = self.options.max_features;
-        let mut features = Vec::with_capacity(wanted.min(2 * found.len()));
-        let mut rest = found;
-        while !rest.is_empty() && features.len() < wanted {
+        let mut rest = &self.work.found[..];
+        let (mut keypoints, mut descriptors) = (Vec::new(), Vec::new());
+        while !rest.is_empty() && keypoints.len() < wanted {
             // One in three or four has a second orientation. What is still missing then follows.
-            let missing = wanted - features.len();
+            let missing = wanted - keypoints.len();
             let count = (missing - missing / 4).max(32).min(rest.len());
             let (now, later) = rest.split_at(count);
             rest = later;
-            let made: Vec<Vec<(usize, Keypoint, T)>> = walk(now)
-                .par_chunks(PORTION)
-                .map(|portion| {
-                    let mut made = Vec::with_capacity(2 * PORTION);
-                    for &i in portion {
-                        let e = &now[i];
-                        for &angle in self.orientations(e).iter() {
-                            made.push((i, keypoint(e, angle), make(e, angle)));
-                        }
-                    }
-                    made
+            let walk = walk(now);
+            let parts = walk.chunks(PORTION);
+            if portions.len() < parts.len() {
+                portions.resize_with(parts.len(), Portion::default);
+            }
+            let made = &mut portions[..parts.len()];
+            made.par_iter_mut()
+                .zip(walk.par_chunks(PORTION))
+                .for_each(|(portion, ranks)| self.fill(portion, now, ranks, described));
+            // Back into order of strength.
+            let mut order: Vec<(usize, usize, usize)> = (made.iter().enumerate())
+                .flat_map(|(p, portion)| {
+                    let ranks = portion.keypoints.iter().map(|(rank, _)| *rank);
+                    ranks.enumerate().map(move |(i, rank)| (rank, p, i))
                 })
                 .collect();
-            // Back into order of strength.
-            let mut order: Vec<&(usize, Keypoint, T)> = made.iter().flatten().collect();
-            order.sort_by_key(|(i, ..)| *i);
-            features.extend(order.into_iter().map(|&(_, keypoint, t)| (keypoint, t)));
+            order.sort_unstable();
+            order.truncate(missing);
+            keypoints.reserve_exact(order.len());
+            keypoints.extend(order.iter().map(|&(_, p, i)| made[p].keypoints[i].1));
+            if described {
+                descriptors.reserve_exact(order.len());
+                descriptors.extend(order.iter().map(|&(_, p, i)| made[p].descriptors[i]));
+            }
         }
-        features.truncate(wanted);
-        features
+        self.work.portions = portions;
+        (keypoints, descriptors)
+    }
+
+    /// Orients the extrema `found[ranks]`, and describes them if wanted.
+    fn fill(&self, portion: &mut Portion, found: &[Extremum], ranks: &[usize], described: bool) {
+        portion.keypoints.clear();
+        portion.descriptors.clear();
+        for &rank in ranks {
+            let e = &found[rank];
+            let (plane, [x, y, sigma]) = self.place_of(e);
+            at_level!(self.simd, s => for &angle in orientations(s, plane, x, y, sigma).iter() {
+                portion.keypoints.push((rank, keypoint(e, angle)));
+                if described {
+                    let descriptor = describe(s, &self.weights, plane, x, y, sigma, angle);
+                    portion.descriptors.push(descriptor);
+                }
+            });
+        }
     }
 
     /// Gaussian layers by octave.
@@ -166,66 +205,22 @@ impl Sift {
         (plane, [e.x, e.y, e.sigma].map(|v| scale * v))
     }
 
-    fn orientations(&self, e: &Extremum) -> Orientations {
-        let (plane, [x, y, sigma]) = self.place_of(e);
-        at_level!(self.simd, s => orientations(s, plane, x, y, sigma))
-    }
-
-    fn describe(&self, e: &Extremum, angle: f32) -> Descriptor {
-        let (plane, [x, y, sigma]) = self.place_of(e);
-        at_level!(self.simd, s => describe(s, &self.weights, plane, x, y, sigma, angle))
-    }
-
-    /// The strongest extrema in order of their strength; leaves the planes around them in the workspace.
-    fn extrema(&mut self, image: &GrayImage) -> Vec<Extremum> {
+    /// The strongest extrema in order of their strength, and the planes around them, into the workspace.
+    fn extrema(&mut self, image: &GrayImage) {
         let Self {
             options,
             simd,
             work,
             ..
         } = self;
+        work.found.clear();
         let Some(contrast) = Contrast::of(image, options) else {
-            return Vec::new();
+            return;
         };
-        let sigma = f64::from(options.sigma);
-        let sigma_at = |s: usize| sigma * (s as f64 / options.intervals as f64).exp2();
-        let between = |from: f64, to: f64| (to * to - from * from).sqrt();
-        let blur = f64::from(options.assumed_blur);
-        let first = options.first_octave;
-        let big_enough = |(w, h): (usize, usize)| w.min(h) >= MIN_OCTAVE_SIZE;
-
-        // Octaves that are not searched are only passed through.
-        work.reduced
-            .resize_with(first.max(0) as usize, Plane::default);
-        for octave in 0..work.reduced.len() {
-            let (before, from) = work.reduced.split_at_mut(octave);
-            let source = before.last().map_or(Source::Image(image), Source::Whole);
-            if !big_enough(source.size()) {
-                return Vec::new();
-            }
-            let blurred = if octave == 0 { blur } else { sigma };
-            let chain = Chain {
-                size: source.size(),
-                levels: vec![
-                    Make::Taken(source),
-                    Make::Blurred(Kernel::gaussian(between(blurred, 2.0 * sigma))),
-                ],
-                kept: vec![Kept {
-                    level: 1,
-                    halved: true,
-                }],
-            };
-            run(
-                *simd,
-                &chain,
-                vec![&mut from[0]],
-                &mut work.scratch,
-                None,
-            );
+        if !reduce(*simd, options, image, &mut work.reduced, &mut work.bands) {
+            return;
         }
-
-        let mut found: Vec<Extremum> = Vec::new();
-        let mut bar = Bar::new(options.max_features, 0.0);
+        work.bar.begin(options.max_features, 0.0);
         for octave in 0.. {
             while work.octaves.len() < octave + 2 {
                 work.octaves.push(vec![Plane::default(); options.intervals]);
@@ -234,50 +229,33 @@ impl Sift {
                 unreachable!("two octaves at least");
             };
             let (layer_0, layers_after) = here.split_at_mut(1);
-            let steps = (1..options.intervals + 2)
-                .map(|s| Make::Blurred(Kernel::gaussian(between(sigma_at(s - 1), sigma_at(s)))));
-            // With the level that is Gaussian layer 0.
-            let (levels, base): (Vec<Make<'_>>, usize) = match (before.last(), work.reduced.last())
-            {
-                (Some(finer), _) => {
-                    let finest = &finer[options.intervals - 1];
-                    let finest = Make::Taken(match finest.pitch {
-                        1 => Source::Halved(finest),
-                        _ => Source::Whole(finest),
-                    });
-                    let taken = [finest, Make::Taken(Source::Whole(&layer_0[0]))].into_iter();
-                    (taken.chain(steps).collect(), 1)
-                }
-                (None, Some(plane)) => {
-                    let taken = std::iter::once(Make::Taken(Source::Whole(plane)));
-                    (taken.chain(steps).collect(), 0)
-                }
-                (None, None) if first == 0 => {
-                    let blurred = Make::Blurred(Kernel::gaussian(between(blur, sigma)));
-                    let taken = [Make::Taken(Source::Image(image)), blurred].into_iter();
-                    (taken.chain(steps).collect(), 1)
-                }
-                (None, None) => {
-                    let doubled = (0..options.intervals + 2).map(|s| {
-                        Make::Doubled(Doubling::gaussian(between(2.0 * blur, sigma_at(s))))
-                    });
-                    let taken = std::iter::once(Make::Taken(Source::Image(image)));
-                    (taken.chain(doubled).collect(), 1)
-                }
+            let (levels, base) = match (before.last(), work.reduced.last()) {
+                (Some(finer), _) => (further_levels(options, finer, &layer_0[0]), 1),
+                (None, Some(reduced)) => (blurred_levels(options, reduced), 0),
+                (None, None) => (first_levels(options, image), 1),
             };
-            let size = match (&levels[0], &levels[1]) {
-                (Make::Taken(source), Make::Doubled(_)) => {
-                    let (w, h) = source.size();
-                    (2 * w - 1, 2 * h - 1)
-                }
-                (Make::Taken(source), _) => source.size(),
-                _ => unreachable!("the first level of a chain is taken from a source"),
+            // The first octave has nothing finer to compare layer 0 with, so that it is not searched. Layer 1 is then needed
+            // only when it is the last one, which the next octave begins with.
+            let is_first = octave == 0;
+            let first_layer = usize::from(is_first);
+            let first_kept = if is_first {
+                2.min(options.intervals - 1)
+            } else {
+                1
             };
-            if !big_enough(size) {
+            let chain = Chain::new(
+                levels,
+                (first_kept..=options.intervals)
+                    .map(|layer| Kept {
+                        level: base + layer,
+                        halved: layer == options.intervals || sigma_at(options, layer) >= SMOOTH,
+                    })
+                    .collect(),
+            );
+            if !is_big_enough(chain.size) {
                 break;
             }
-            let layers = usize::from(octave == 0)..options.intervals;
-            let index = first + octave as i32;
+            let index = options.first_octave + octave as i32;
             let thresholds: Vec<f32> = (0..options.intervals)
                 .map(|layer| contrast.threshold(options, index, layer))
                 .collect();
@@ -286,40 +264,139 @@ impl Sift {
                 thresholds: &thresholds,
                 octave: index,
                 base,
-                layers,
-                weakest: bar.raise(),
+                layers: first_layer..options.intervals,
+                weakest: work.bar.raise(),
             };
-            let chain = Chain {
-                levels,
-                size,
-                kept: (1 + usize::from(octave == 0)..=options.intervals)
-                    .map(|layer| Kept {
-                        level: base + layer,
-                        halved: layer == options.intervals || sigma_at(layer) >= SMOOTH,
-                    })
-                    .collect(),
-            };
-            let planes: Vec<&mut Plane> = layers_after.iter_mut().skip(usize::from(octave == 0)).chain([&mut next[0]]).collect();
-            let mut new = run(
-                *simd,
-                &chain,
-                planes,
-                &mut work.scratch,
-                Some(&scan),
-            );
-            // Two samples may lead to the same extremum.
-            new.sort_unstable_by_key(|e| (e.layer, e.sample.1, e.sample.0));
-            new.dedup_by_key(|e| (e.layer, e.sample));
-            new.iter().for_each(|e| bar.see(e.response));
-            found.append(&mut new);
+            let planes = (layers_after[first_kept - 1..].iter_mut())
+                .chain([&mut next[0]])
+                .collect();
+            let bands = run(*simd, &chain, planes, &mut work.bands, Some(&scan));
+            gather(bands, &mut work.found, &mut work.bar);
         }
+        let found = &mut work.found;
         if found.len() > options.max_features {
             found.select_nth_unstable_by(options.max_features, Extremum::rank);
             found.truncate(options.max_features);
         }
         found.sort_unstable_by(Extremum::rank);
-        found
     }
+}
+
+/// Gaussian sigma of a layer in pixels of its octave.
+fn sigma_at(options: &Options, layer: usize) -> f64 {
+    f64::from(options.sigma) * (layer as f64 / options.intervals as f64).exp2()
+}
+
+/// What blurs from one sigma to another.
+fn between(from: f64, to: f64) -> f64 {
+    (to * to - from * from).sqrt()
+}
+
+/// Whether an octave is searched.
+fn is_big_enough((w, h): (usize, usize)) -> bool {
+    w.min(h) >= MIN_OCTAVE_SIZE
+}
+
+/// The image reduced to each octave before the first one, which are only passed through; `false` when it is too small.
+fn reduce(
+    simd: Simd,
+    options: &Options,
+    image: &GrayImage,
+    reduced: &mut Vec<Plane>,
+    bands: &mut Vec<Band>,
+) -> bool {
+    reduced.resize_with(options.first_octave.max(0) as usize, Plane::default);
+    let sigma = f64::from(options.sigma);
+    let mut blur = f64::from(options.assumed_blur);
+    for octave in 0..reduced.len() {
+        let (before, from) = reduced.split_at_mut(octave);
+        let source = before.last().map_or(Source::Image(image), Source::Whole);
+        let kernel = Kernel::gaussian(between(blur, 2.0 * sigma));
+        let kept = Kept {
+            level: 1,
+            halved: true,
+        };
+        let chain = Chain::new(vec![Make::Taken(source), Make::Blurred(kernel)], vec![kept]);
+        if !is_big_enough(chain.size) {
+            return false;
+        }
+        run(simd, &chain, vec![&mut from[0]], bands, None);
+        blur = sigma;
+    }
+    true
+}
+
+/// Gaussian layers 1 to `intervals + 1`, each from the one before.
+fn steps<'a>(options: &Options) -> impl Iterator<Item = Make<'a>> {
+    (1..options.intervals + 2).map(|s| {
+        let sigma = between(sigma_at(options, s - 1), sigma_at(options, s));
+        Make::Blurred(Kernel::gaussian(sigma))
+    })
+}
+
+/// The levels of an octave whose layer 0 is a plane: that and the layers after it.
+fn blurred_levels<'a>(options: &Options, layer_0: &'a Plane) -> Vec<Make<'a>> {
+    let taken = Make::Taken(Source::Whole(layer_0));
+    std::iter::once(taken).chain(steps(options)).collect()
+}
+
+/// The levels of the first octave, made from the image: that, then the layers.
+fn first_levels<'a>(options: &Options, image: &'a GrayImage) -> Vec<Make<'a>> {
+    let blur = f64::from(options.assumed_blur);
+    let mut levels = vec![Make::Taken(Source::Image(image))];
+    if options.first_octave < 0 {
+        levels.extend((0..options.intervals + 2).map(|s| {
+            Make::Doubled(Doubling::gaussian(between(
+                2.0 * blur,
+                sigma_at(options, s),
+            )))
+        }));
+    } else {
+        let sigma = between(blur, sigma_at(options, 0));
+        levels.push(Make::Blurred(Kernel::gaussian(sigma)));
+        levels.extend(steps(options));
+    }
+    levels
+}
+
+/// The levels of an octave after the first: the last layer of the finer octave, then its own layers.
+fn further_levels<'a>(options: &Options, finer: &'a [Plane], layer_0: &'a Plane) -> Vec<Make<'a>> {
+    let last = &finer[options.intervals - 1];
+    let mut levels = vec![Make::Taken(match last.pitch {
+        1 => Source::Halved(last),
+        _ => Source::Whole(last),
+    })];
+    levels.extend(blurred_levels(options, layer_0));
+    levels
+}
+
+/// Adds what the bands of an octave have found and may be strong enough.
+fn gather(bands: &mut [Band], found: &mut Vec<Extremum>, bar: &mut Bar) {
+    let mut weakest = 0.0_f32;
+    for band in bands.iter_mut() {
+        weakest = weakest.max(band.scanner.found().1);
+    }
+    let before = found.len();
+    for band in bands {
+        let new = band.scanner.found().0.iter();
+        found.extend(new.filter(|e| e.response >= weakest));
+    }
+    // Two samples may lead to the same extremum.
+    found[before..].sort_unstable_by_key(|e| (e.layer, e.sample.1, e.sample.0));
+    let mut kept = before;
+    for i in before..found.len() {
+        let e = found[i];
+        let again = kept > before && {
+            let last = &found[kept - 1];
+            (last.layer, last.sample) == (e.layer, e.sample)
+        };
+        if !again {
+            bar.see(e.response);
+            found[kept] = e;
+            kept += 1;
+        }
+    }
+    found.truncate(kept);
 }
 
 /// Neighbours in the image one after the other, which is kinder to the caches than order of strength.
@@ -337,59 +414,55 @@ fn walk(found: &[Extremum]) -> Vec<usize> {
 }
 
 /// Makes the levels of `chain`, band by band on all threads, with what is kept of them in `planes`, and looks for extrema on the
-/// way.
-fn run(
+/// way. Returns the bands that were needed.
+fn run<'a>(
     simd: Simd,
     chain: &Chain<'_>,
     planes: Vec<&mut Plane>,
-    scratch: &mut Vec<Scratch>,
+    bands: &'a mut Vec<Band>,
     scan: Option<&Scan<'_>>,
-) -> Vec<Extremum> {
+) -> &'a mut [Band] {
     let (w, h) = chain.size;
-    let bands = rayon::current_num_threads().min(h / LEAST_ROWS).max(1);
-    let band = h.div_ceil(bands).next_multiple_of(2);
+    let count = rayon::current_num_threads().min(h / LEAST_ROWS).max(1);
+    let rows = h.div_ceil(count).next_multiple_of(2);
     let mut parts: Vec<Vec<&mut [f32]>> = Vec::new();
-    parts.resize_with(h.div_ceil(band), Vec::new);
+    parts.resize_with(h.div_ceil(rows), Vec::new);
     for (plane, kept) in planes.into_iter().zip(&chain.kept) {
         plane.resize(kept.count(w), kept.count(h));
         plane.pitch = if kept.halved { 2 } else { 1 };
-        let rows = plane.data.chunks_mut(kept.count(band) * kept.count(w));
+        let rows = plane.data.chunks_mut(kept.count(rows) * kept.count(w));
         for (part, rows) in parts.iter_mut().zip(rows) {
             part.push(rows);
         }
     }
-    if scratch.len() < parts.len() {
-        scratch.resize_with(parts.len(), Scratch::default);
+    if bands.len() < parts.len() {
+        bands.resize_with(parts.len(), Band::default);
     }
-    let found: Vec<Vec<Extremum>> = parts
-        .into_par_iter()
-        .zip(scratch)
-        .enumerate()
-        .map(|(i, (mut planes, scratch))| {
-            let rows = i * band..((i + 1) * band).min(h);
-            let mut scanner = scan.map(Scanner::new);
-            for columns in Chain::tiles(w) {
-                if let Some(scanner) = &mut scanner {
-                    scanner.begin(rows.start);
-                }
-                at_level!(simd, s => chain.sweep(
-                    s,
-                    rows.clone(),
-                    columns,
-                    scratch,
-                    &mut planes,
-                    #[inline(always)]
-                    |levels, memory, y| {
-                        if let Some(scanner) = &mut scanner {
-                            scanner.visit(s, levels, memory, y);
-                        }
-                    },
-                ));
-            }
-            scanner.map_or_else(Vec::new, |s| s.found)
-        })
-        .collect();
-    found.concat()
+    let bands = &mut bands[..parts.len()];
+    let work = |(i, (band, mut planes)): (usize, (&mut Band, Vec<&mut [f32]>))| {
+        let rows = i * rows..((i + 1) * rows).min(h);
+        let Band { scratch, scanner } = band;
+        if let Some(scan) = scan {
+            scanner.begin(scan);
+        }
+        for columns in Chain::tiles(w) {
+            at_level!(simd, s => chain.sweep(
+                s,
+                rows.clone(),
+                columns,
+                scratch,
+                &mut planes,
+                #[inline(always)]
+                |levels, y| {
+                    if let Some(scan) = scan {
+                        scanner.visit(s, scan, levels, y);
+                    }
+                },
+            ));
+        }
+    };
+    bands.par_iter_mut().zip(parts).enumerate().for_each(work);
+    bands
 }
 
 /// One image with an engine of its own: [`Sift::new`], then [`Sift::detect_and_describe`]. For many images keep a [`Sift`].

@@ -214,6 +214,7 @@ mod tests {
             let plane = Plane {
                 width: 40,
                 height: 40,
+                pitch: 1,
                 data: (0..1600)
                     .map(|i| c * (i % 40) as f32 + s * (i / 40) as f32)
                     .collect(),
@@ -234,6 +235,7 @@ mod tests {
         let plane = Plane {
             width: 40,
             height: 40,
+            pitch: 1,
             data,
         };
         let found = orientations(&plane, 20.0, 20.0, 1.8);
@@ -245,6 +247,7 @@ mod tests {
         let plane = Plane {
             width: 20,
             height: 20,
+            pitch: 1,
             data: vec![0.5; 400],
         };
         assert!(orientations(&plane, 10.0, 10.0, 2.0).is_empty());
@@ -255,6 +258,7 @@ mod tests {
         let plane = Plane {
             width: 12,
             height: 12,
+            pitch: 1,
             data: (0..144).map(|i| (i % 12) as f32).collect(),
         };
         assert_eq!(orientations(&plane, 5.0, 6.9, 3.6).len(), 1);

@@ -20,18 +20,24 @@ use crate::blur::{BLOCK, Doubling, Kernel, along, along_doubled, down, mirrored}
 /// Columns of a tile, without its overlap.
 const TILE_WIDTH: usize = 1400;
 
-/// Rows before and after the visited one that the visitor may look at.
+/// Rows around those of a tile that the visitor may look at.
 pub(crate) const WINDOW: usize = 8;
 
-/// Columns to either side of the visited ones that the visitor may look at.
+/// Columns to either side of those of a tile that the visitor may look at.
 const WINDOW_COLUMNS: usize = 10;
+
+/// The rows around a tile that are visited, of `h`: whole pairs of doubled rows.
+fn seen(rows: &Range<usize>, h: usize) -> Range<usize> {
+    let start = rows.start.saturating_sub(WINDOW);
+    start - start % 2..(rows.end + WINDOW).min(h)
+}
 
 /// A row-major plane of f32.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Plane {
     pub(crate) width: usize,
     pub(crate) height: usize,
-    /// Pixels of its octave from one pixel to the next: 1 or 2.
+    /// Pixels of the chain it was made in from one pixel to the next: 1 or 2.
     pub(crate) pitch: usize,
     pub(crate) data: Vec<f32>,
 }
@@ -187,8 +193,6 @@ pub(crate) struct Scratch {
     rings: Vec<Ring>,
     padded: [Aligned; 2],
     starts: Vec<usize>,
-    /// For the visitor.
-    pub(crate) rows: Vec<f32>,
 }
 
 /// The levels of a tile around the visited row.
@@ -198,8 +202,11 @@ pub(crate) struct Levels<'a> {
     pub(crate) origin: usize,
     /// Size of the octave: columns and rows.
     pub(crate) size: (usize, usize),
-    /// What is to be visited.
+    /// The tile: columns and rows.
     pub(crate) columns: Range<usize>,
+    pub(crate) rows: Range<usize>,
+    /// The row after the last one that will be visited.
+    pub(crate) end: usize,
 }
 
 impl Levels<'_> {
@@ -249,6 +256,21 @@ impl Kept {
     }
 }
 
+impl<'a> Chain<'a> {
+    /// `levels` as above, the size as that of the first one asks for.
+    pub(crate) fn new(levels: Vec<Make<'a>>, kept: Vec<Kept>) -> Self {
+        let Some(Make::Taken(source)) = levels.first() else {
+            unreachable!("the first level of a chain is taken from a source");
+        };
+        let (w, h) = source.size();
+        let size = match levels.get(1) {
+            Some(Make::Doubled(_)) => (2 * w - 1, 2 * h - 1),
+            _ => (w, h),
+        };
+        Self { levels, size, kept }
+    }
+}
+
 impl Chain<'_> {
     /// Column ranges of the tiles of an octave.
     pub(crate) fn tiles(width: usize) -> impl Iterator<Item = Range<usize>> {
@@ -287,7 +309,8 @@ impl Chain<'_> {
     ///
     /// `planes[i]` takes what is kept of the tile's rows of level `kept[i]`: whole rows of the octave, beginning with
     /// `rows.start`, which is even.
-    /// `visit` is called for each row of the tile in order, with all levels within [`WINDOW`] rows of it.
+    /// `visit` is called for each row of the tile and of [`WINDOW`] rows around it, in order, as soon as all levels have it. The
+    /// `2 * WINDOW` rows before it are still there.
     #[inline(always)]
     pub(crate) fn sweep<S: Simd>(
         &self,
@@ -296,18 +319,18 @@ impl Chain<'_> {
         columns: Range<usize>,
         scratch: &mut Scratch,
         planes: &mut [&mut [f32]],
-        mut visit: impl FnMut(&Levels<'_>, &mut Vec<f32>, usize),
+        mut visit: impl FnMut(&Levels<'_>, usize),
     ) {
         let Scratch {
             rings,
             padded,
             starts,
-            rows: visitor_rows,
         } = scratch;
         let origin = self.plan(&rows, &columns, rings, padded);
-        let (w, _) = self.size;
-        let mut visited = rows.start;
-        while visited < rows.end {
+        let (w, h) = self.size;
+        let seen = seen(&rows, h);
+        let mut visited = seen.start;
+        while visited < seen.end {
             let mut moved = false;
             for level in 0..rings.len() {
                 let ring = &rings[level];
@@ -340,18 +363,19 @@ impl Chain<'_> {
                     }
                 }
             }
-            while visited < rows.end
-                && rings.iter().enumerate().all(|(level, ring)| {
-                    !self.is_visible(level) || ring.is_complete() || visited + WINDOW < ring.next
-                })
+            while visited < seen.end
+                && (rings.iter().enumerate())
+                    .all(|(level, ring)| !self.is_visible(level) || visited < ring.next)
             {
                 let levels = Levels {
                     rings,
                     origin,
                     size: self.size,
                     columns: columns.clone(),
+                    rows: rows.clone(),
+                    end: seen.end,
                 };
-                visit(&levels, visitor_rows, visited);
+                visit(&levels, visited);
                 visited += 1;
                 moved = true;
             }
@@ -363,7 +387,7 @@ impl Chain<'_> {
     fn needed(&self, level: usize, rings: &[Ring], visited: usize) -> usize {
         let mut needed = usize::MAX;
         if self.is_visible(level) {
-            needed = visited.saturating_sub(WINDOW);
+            needed = visited.saturating_sub(2 * WINDOW);
         }
         for (above, ring) in rings.iter().enumerate().skip(level + 1) {
             if self.below(above) == Some(level) && !ring.is_complete() {
@@ -452,12 +476,10 @@ impl Chain<'_> {
     ) -> usize {
         let (w, h) = self.size;
         rings.resize_with(self.levels.len(), Ring::default);
-        let seen = rows.start.saturating_sub(WINDOW)..(rows.end + WINDOW).min(h);
+        let seen = seen(rows, h);
         let wide =
             columns.start.saturating_sub(WINDOW_COLUMNS)..(columns.end + WINDOW_COLUMNS).min(w);
-        // Whole pairs of doubled rows and columns.
-        let even = |r: Range<usize>| r.start - r.start % 2..r.end;
-        let (seen, wide) = (even(seen), even(wide));
+        let wide = wide.start - wide.start % 2..wide.end;
         for ring in rings.iter_mut() {
             (ring.rows, ring.columns) = (seen.clone(), wide.clone());
             ring.kept = 2 * WINDOW + 4;
@@ -573,7 +595,7 @@ pub(crate) mod oracle {
             })
         }
 
-        fn halved(&self) -> Self {
+        pub(crate) fn halved(&self) -> Self {
             let size = (self.width.div_ceil(2), self.height.div_ceil(2));
             Self::from_fn(size.0, size.1, |x, y| self.at(2 * x, 2 * y))
         }
@@ -674,11 +696,13 @@ mod tests {
                         for (octave, layers) in expected.iter().enumerate() {
                             let small = layers[0].width.min(layers[0].height) < 12;
                             for (layer, expected) in layers.iter().enumerate().take(3) {
-                                if small || (octave, layer) == (0, 0) {
+                                if small || (octave == 0 && layer < 2) {
                                     continue;
                                 }
                                 let found = &planes[octave][layer];
-                                let expected = if found.pitch == 2 {
+                                assert_eq!(found.pitch, if layer == 1 { 1 } else { 2 });
+                                // Layer 0 was made in the octave before, layer 2 is smooth.
+                                let expected = if layer == 2 {
                                     &expected.halved()
                                 } else {
                                     expected
