@@ -22,7 +22,7 @@ const PLACES: usize = 4;
 const DIRECTIONS: usize = 8;
 
 /// Width of a place in units of the keypoint's sigma.
-const PLACE_WIDTH: f32 = 3.0;
+const PLACE_WIDTH: f32 = 3.4;
 
 /// Descriptor of the keypoint at (x, y) with scale `sigma`, both in pixels of `plane`, turned by `angle` radians.
 #[inline(always)]

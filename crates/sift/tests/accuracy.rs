@@ -189,7 +189,7 @@ fn keypoints_move_with_the_scene() {
             o.distance < 0.01 && o.offset.0.abs() < 0.01 && o.offset.1.abs() < 0.01,
             "{shift:?}"
         );
-        assert!(o.angle < 0.01 && o.size < 0.005, "{shift:?}");
+        assert!(o.angle < 0.025 && o.size < 0.005, "{shift:?}");
     }
 }
 
@@ -212,7 +212,7 @@ fn keypoints_turn_with_the_scene() {
             o.distance < 0.02 && o.offset.0.abs() < 0.015 && o.offset.1.abs() < 0.015,
             "{angle}"
         );
-        assert!(o.angle < 0.02 && o.size < 0.01, "{angle}");
+        assert!(o.angle < 0.03 && o.size < 0.01, "{angle}");
     }
 }
 
@@ -230,6 +230,6 @@ fn keypoints_grow_with_the_scene() {
             o.offset.0.abs() < 0.04 * zoom.max(1.0) && o.offset.1.abs() < 0.04 * zoom.max(1.0),
             "{zoom}"
         );
-        assert!(o.angle < 0.03, "{zoom}");
+        assert!(o.angle < 0.04, "{zoom}");
     }
 }
