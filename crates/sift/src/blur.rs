@@ -23,7 +23,7 @@ fn gaussian(sigma: f64) -> impl Fn(isize) -> f64 {
 }
 
 fn radius(sigma: f64) -> usize {
-    (4.0 * sigma).ceil().max(1.0) as usize
+    (3.5 * sigma).ceil().max(1.0) as usize
 }
 
 /// A Gaussian blur.
@@ -163,21 +163,41 @@ pub(crate) fn down<S: Simd>(
 
 /// A row blurred along itself: `out[x]` from `padded[x..=x + 2 radius]`, `width` columns rounded up to whole blocks.
 #[inline(always)]
-#[expect(unsafe_code, reason = "see `load`")]
 pub(crate) fn along<S: Simd>(s: S, kernel: &Kernel, padded: &[f32], width: usize, out: &mut [f32]) {
-    let (r, width) = (kernel.radius(), width.next_multiple_of(BLOCK));
+    // The radii of the default options are known to the compiler.
+    match kernel.radius() {
+        5 => along_by::<S, 5>(s, kernel, padded, width, out),
+        6 => along_by::<S, 6>(s, kernel, padded, width, out),
+        7 => along_by::<S, 7>(s, kernel, padded, width, out),
+        9 => along_by::<S, 9>(s, kernel, padded, width, out),
+        _ => along_by::<S, 0>(s, kernel, padded, width, out),
+    }
+}
+
+/// With the radius `R`, or with any radius when that is 0.
+#[inline(always)]
+#[expect(unsafe_code, reason = "see `load`")]
+fn along_by<S: Simd, const R: usize>(
+    s: S,
+    kernel: &Kernel,
+    padded: &[f32],
+    width: usize,
+    out: &mut [f32],
+) {
+    let r = if R > 0 { R } else { kernel.radius() };
+    let (half, width) = (&kernel.half[..=r], width.next_multiple_of(BLOCK));
     assert!(padded.len() >= width + 2 * r);
     for (block, out) in out[..width].chunks_exact_mut(BLOCK).enumerate() {
         let centre = block * BLOCK + r;
         let mut sum = [f32x16::splat(s, 0.0); 2];
-        let weight = f32x16::splat(s, kernel.half[0]);
+        let weight = f32x16::splat(s, half[0]);
         for k in 0..2 {
             // SAFETY: `centre + BLOCK` is at most `width + r`.
             let v = unsafe { load(s, padded, centre + 16 * k) };
             sum[k] = v * weight;
         }
-        for (i, &weight) in kernel.half.iter().enumerate().skip(1) {
-            let weight = f32x16::splat(s, weight);
+        for i in 1..=r {
+            let weight = f32x16::splat(s, half[i]);
             for k in 0..2 {
                 // SAFETY: i is at most r, so this lies within `width + 2 r` values.
                 let (left, right) = unsafe {
@@ -198,7 +218,6 @@ pub(crate) fn along<S: Simd>(s: S, kernel: &Kernel, padded: &[f32], width: usize
 /// A row doubled and blurred along itself: `out[2 x]` and `out[2 x + 1]` from `padded[x..=x + 2 radius]`, `width` columns of
 /// `out` rounded up to whole blocks.
 #[inline(always)]
-#[expect(unsafe_code, reason = "see `load`")]
 pub(crate) fn along_doubled<S: Simd>(
     s: S,
     kernel: &Doubling,
@@ -206,16 +225,39 @@ pub(crate) fn along_doubled<S: Simd>(
     width: usize,
     out: &mut [f32],
 ) {
-    let (r, width) = (kernel.radius(), width.next_multiple_of(BLOCK));
+    // The radii of the default options are known to the compiler.
+    match kernel.radius() {
+        3 => along_doubled_by::<S, 3>(s, kernel, padded, width, out),
+        4 => along_doubled_by::<S, 4>(s, kernel, padded, width, out),
+        5 => along_doubled_by::<S, 5>(s, kernel, padded, width, out),
+        6 => along_doubled_by::<S, 6>(s, kernel, padded, width, out),
+        8 => along_doubled_by::<S, 8>(s, kernel, padded, width, out),
+        _ => along_doubled_by::<S, 0>(s, kernel, padded, width, out),
+    }
+}
+
+/// With the radius `R`, or with any radius when that is 0.
+#[inline(always)]
+#[expect(unsafe_code, reason = "see `load`")]
+fn along_doubled_by<S: Simd, const R: usize>(
+    s: S,
+    kernel: &Doubling,
+    padded: &[f32],
+    width: usize,
+    out: &mut [f32],
+) {
+    let r = if R > 0 { R } else { kernel.radius() };
+    let (half, width) = (&kernel.half[..=r], width.next_multiple_of(BLOCK));
     assert!(padded.len() >= width / 2 + 2 * r);
     for (block, out) in out[..width].chunks_exact_mut(BLOCK).enumerate() {
         let centre = block * (BLOCK / 2) + r;
         // SAFETY: `centre + 16` is at most `width / 2 + r`.
         let mut right = unsafe { load(s, padded, centre) };
-        let mut even = right * kernel.half[0][0];
+        let mut even = right * half[0][0];
         let mut odd = f32x16::splat(s, 0.0);
         let mut left = right;
-        for (i, &[weight_even, weight_odd]) in kernel.half.iter().enumerate().skip(1) {
+        for i in 1..=r {
+            let [weight_even, weight_odd] = half[i];
             // SAFETY: i is at most r, so these lie within `width / 2 + 2 r` values.
             right = unsafe { load(s, padded, centre + i) };
             odd = (left + right).mul_add(f32x16::splat(s, weight_odd), odd);
