@@ -9,7 +9,7 @@
 
 use std::f32::consts::TAU;
 
-use fearless_simd::{Simd, f32x8, i32x8, prelude::*};
+use fearless_simd::{Simd, f32x8, f64x4, i32x8, prelude::*};
 
 use crate::descriptor::{Descriptor, finish};
 use crate::gradient::angle;
@@ -89,7 +89,7 @@ impl Weights {
     }
 }
 
-/// A value and the next one.
+/// A value and the next one, side by side.
 ///
 /// # Safety
 /// `at + 2 <= data.len()`.
@@ -98,12 +98,15 @@ impl Weights {
     unsafe_code,
     reason = "a descriptor takes 512 pairs, and eight samples are tested at once"
 )]
-unsafe fn pair(data: &[f32], at: usize) -> &[f32] {
-    if cfg!(debug_assertions) {
-        return &data[at..at + 2];
-    }
-    // SAFETY: the caller's promise.
-    unsafe { data.get_unchecked(at..at + 2) }
+unsafe fn pair(data: &[f32], at: usize) -> f64 {
+    let pair = if cfg!(debug_assertions) {
+        &data[at..at + 2]
+    } else {
+        // SAFETY: the caller's promise.
+        unsafe { data.get_unchecked(at..at + 2) }
+    };
+    // SAFETY: eight bytes that are there, of whatever alignment; any are a number.
+    unsafe { pair.as_ptr().cast::<f64>().read_unaligned() }
 }
 
 /// The surroundings of a keypoint in its own frame: row j, column i at `SPACING * (i - 11.5, j - 11.5)` places.
@@ -185,19 +188,17 @@ impl Patch {
                 let off = at.simd_lt(i32x8::splat(s, 0)) | at.simd_gt(i32x8::splat(s, last));
                 assert!(!off.any_true(), "samples lie in the plane");
                 let at = at.to_array();
-                // Pairs of neighbours: pixel and right neighbour of the upper row, then of the lower one.
-                let (mut upper, mut lower) = ([0.0; 16], [0.0; 16]);
-                for i in 0..8 {
-                    let at = at[i] as usize;
-                    // SAFETY: tested above: `at` is at most `data.len() - w - 2`.
-                    let (above, below) = unsafe { (pair(data, at), pair(data, at + w)) };
-                    upper[2 * i..2 * i + 2].copy_from_slice(above);
-                    lower[2 * i..2 * i + 2].copy_from_slice(below);
-                }
-                let (a, b) = f32x8::from_slice(s, &upper[..8])
-                    .deinterleave(f32x8::from_slice(s, &upper[8..]));
-                let (c, d) = f32x8::from_slice(s, &lower[..8])
-                    .deinterleave(f32x8::from_slice(s, &lower[8..]));
+                // Pairs of neighbours: pixel and right neighbour of the upper row, then of the lower one. They go through
+                // registers: memory that was written in pairs cannot be read at once as vectors.
+                // SAFETY: tested above: each is at most `data.len() - w - 2`.
+                let pairs = |below: usize, i: usize| unsafe {
+                    let pair = |i: usize| pair(data, at[i] as usize + below);
+                    f64x4::simd_from(s, [pair(i), pair(i + 1), pair(i + 2), pair(i + 3)])
+                };
+                let [a, b, c, d] = [pairs(0, 0), pairs(0, 4), pairs(w, 0), pairs(w, 4)];
+                let (a, b): (f32x8<S>, f32x8<S>) = (a.bitcast(), b.bitcast());
+                let (c, d): (f32x8<S>, f32x8<S>) = (c.bitcast(), d.bitcast());
+                let ((a, b), (c, d)) = (a.deinterleave(b), c.deinterleave(d));
                 let top = (b - a).mul_add(fx, a);
                 let bottom = (d - c).mul_add(fx, c);
                 let value = (bottom - top).mul_add(fy, top);

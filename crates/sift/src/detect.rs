@@ -111,7 +111,7 @@ impl Bar {
             return;
         }
         self.above.push(response);
-        if self.above.len() >= self.wanted.saturating_add(self.wanted / 4 + 1) {
+        if self.above.len() >= self.wanted.saturating_add(self.wanted / 2 + 1) {
             self.raise();
         }
     }
