@@ -102,10 +102,19 @@ pub(crate) fn wrap(angle: f64) -> f64 {
     if a > PI { a - TAU } else { a }
 }
 
+/// How far a match lies from where it belongs, up to a common factor: with the scale of both keypoints (in target pixels), the
+/// weaker response and the squared distance of the descriptors.
+///
+/// The exponents are rounded from a fit to the distances of matches on known warps of slides (docs/sift-accuracy.md). That a large
+/// keypoint is placed less well is the smaller part of it; what is faint, or has changed its looks, is the larger.
+fn noise(scale: f64, response: f32, distance_sq: u32) -> f64 {
+    let response = f64::from(response).max(f64::MIN_POSITIVE);
+    scale.powf(0.25) * response.powf(-2.0 / 3.0) * f64::from(distance_sq + 1).powf(0.25)
+}
+
 /// Matches view features to target features (exact brute force, ratio and mutual test) among admissible pairs.
 ///
-/// The sigma of each correspondence is in target pixels, up to a common factor: localisation noise grows with the
-/// scale of the keypoint, in both images.
+/// The sigma of each correspondence is in target pixels, up to a common factor: see [`noise`].
 pub fn correspondences(
     view: &Features,
     target: &Features,
@@ -122,7 +131,11 @@ pub fn correspondences(
             Correspondence {
                 p_in_a: [f64::from(v.x), f64::from(v.y)],
                 p_in_b: [f64::from(t.x), f64::from(t.y)],
-                sigma: f64::hypot(st, sv * ratio.unwrap_or(st / sv)),
+                sigma: noise(
+                    f64::hypot(st, sv * ratio.unwrap_or(st / sv)),
+                    v.response.min(t.response),
+                    m.distance_sq,
+                ),
             }
         })
         .collect();

@@ -58,7 +58,7 @@ fn octave_of(zoom: usize) -> i32 {
 }
 
 /// Each of them, in the order of the tables.
-pub const SETTINGS: [Setting; 9] = [
+pub const SETTINGS: [Setting; 10] = [
     Setting {
         name: "equal",
         says: "nothing known; per frame no more features than OpenCV's precise SIFT found in it",
@@ -128,6 +128,14 @@ pub const SETTINGS: [Setting; 9] = [
         says: "as the servo does it: the scale known, 3000 extrema in the view, 8000 in the target",
         view: look(3000, -1),
         target: |_| look(8000, -1),
+        keep: Keep::All,
+        scale_known: true,
+    },
+    Setting {
+        name: "servo_skip",
+        says: "as the servo does it, the target without the octaves that the view cannot show",
+        view: look(3000, -1),
+        target: |zoom| look(8000, octave_of(zoom) - 1),
         keep: Keep::All,
         scale_known: true,
     },

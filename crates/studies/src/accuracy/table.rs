@@ -274,16 +274,21 @@ pub fn summary(methods: &Methods) -> String {
     out
 }
 
+/// Failing cells that are named in one line; every cell has its verdict below.
+const NAMED: usize = 4;
+
 /// Three columns: cells that pass, cells without a median to compare, and what fails.
 fn outcome(against: &[Comparison]) -> String {
     let passed = against.iter().filter(|c| c.holds()).count();
     let unjudged = against.iter().filter(|c| c.medians_px.is_none()).count();
     let failed: Vec<String> = against.iter().filter(|c| !c.holds()).map(failure).collect();
-    let failed = match failed.is_empty() {
-        true => "none".into(),
-        false => failed.join("; "),
+    let first = &failed[..failed.len().min(NAMED)];
+    let named = match failed.len() {
+        0 => "none".into(),
+        n if n > NAMED => format!("{}; and {} more", first.join("; "), n - NAMED),
+        _ => first.join("; "),
     };
-    format!("{passed} of {} | {unjudged} | {failed}", against.len())
+    format!("{passed} of {} | {unjudged} | {named}", against.len())
 }
 
 /// Each fast mode against the setting that it would replace, by the same rule.
@@ -292,7 +297,7 @@ const REPLACES: [(&str, &str); 5] = [
     ("undoubled_scale", "2000_scale"),
     ("skip_scale", "2000_scale"),
     ("undoubled_skip_scale", "2000_scale"),
-    ("skip_scale", "servo"),
+    ("servo_skip", "servo"),
 ];
 
 /// The fast modes against our own.
