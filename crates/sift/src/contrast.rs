@@ -31,9 +31,7 @@ impl Contrast {
     /// `None` for an image without any structure above rounding.
     pub(crate) fn of(image: &GrayImage, options: &Options) -> Option<Self> {
         let data = image.data();
-        let (low, high) = data
-            .iter()
-            .fold((f32::MAX, f32::MIN), |(l, h), &v| (l.min(v), h.max(v)));
+        let (low, high) = range(data);
         let rounding = ROUNDING * high.abs().max(low.abs());
         if high - low <= rounding {
             return None;
@@ -68,6 +66,21 @@ impl Contrast {
 /// the L2 norm of that difference, `sqrt((1/a + 1/b - 4/(a + b)) / (4 pi))`.
 fn dog_noise_gain(a: f32, b: f32) -> f32 {
     ((1.0 / a + 1.0 / b - 4.0 / (a + b)).max(0.0) / (4.0 * std::f32::consts::PI)).sqrt()
+}
+
+/// Least and greatest value, of sixteen columns side by side: so the compiler can take vectors.
+fn range(data: &[f32]) -> (f32, f32) {
+    let (mut low, mut high) = ([f32::MAX; 16], [f32::MIN; 16]);
+    for values in data.chunks(16) {
+        for ((low, high), &v) in low.iter_mut().zip(&mut high).zip(values) {
+            *low = if v < *low { v } else { *low };
+            *high = if v > *high { v } else { *high };
+        }
+    }
+    (
+        low.into_iter().fold(f32::MAX, f32::min),
+        high.into_iter().fold(f32::MIN, f32::max),
+    )
 }
 
 /// 99th minus 1st percentile of a regular sample.

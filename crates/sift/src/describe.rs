@@ -1,11 +1,16 @@
 //! The descriptor: 4 x 4 places x 8 directions of gradient around a keypoint (Lowe, IJCV 2004, section 6), as RootSIFT
 //! (Arandjelovic & Zisserman, CVPR 2012, section 3).
 //!
-//! A place is 3 sigma wide, the Gaussian window 6 sigma (half the width of the descriptor), both in the frame turned by the
-//! keypoint's angle and centred on the refined position. The surroundings are sampled on a grid in that frame, 1.07 sigma apart,
-//! which is fine enough for a plane that is already blurred by sigma; gradients are differences on the grid. Each gradient votes
-//! trilinearly for the 8 nearest cells. On a fixed grid the shares of places are constants, so that no vote needs an address:
-//! every step is the same for eight samples at once, and the cost does not grow with the scale.
+//! A place is 3.4 sigma wide, the Gaussian window 6.8 sigma (half the width of the descriptor), both in the frame turned by the
+//! keypoint's angle and centred on the refined position. The surroundings are sampled on a grid in that frame, 1.2 sigma apart;
+//! gradients are differences on the grid. Each gradient votes trilinearly for the 8 nearest cells. On a fixed grid the shares of
+//! places are constants, so that no vote needs an address: every step is the same for eight samples at once, and the cost does not
+//! grow with the scale.
+//!
+//! Lowe takes the Gaussian layer next to the keypoint's scale. Here it is the one after that, blurred by 1.26 sigma: what is
+//! sampled 1.2 sigma apart need not be sharper, and of the octave with the most pixels only layers remain that every second pixel
+//! of every second row holds. Places of 3 sigma, as Lowe has them, then tell fewer pairs apart (measured on the pairs of
+//! docs/sift-accuracy.md).
 
 use std::f32::consts::TAU;
 

@@ -15,7 +15,8 @@ use crate::{Features, GrayImage, Keypoint, Options, SiftError, Simd};
 /// Octaves smaller than this on either side are not searched: nothing would be left inside the detector's border.
 const MIN_OCTAVE_SIZE: usize = 12;
 
-/// Sigma in pixels from which every second pixel of every second row says enough.
+/// Sigma in pixels from which every second pixel of every second row says enough to orient and describe by: bilinear samples of a
+/// plane with a sigma of 1.0 instead of 1.27 cost one inlier in twenty.
 const SMOOTH: f64 = 2.3;
 
 /// Fewer rows than this are not worth a thread: its overlap with the neighbours would be most of the work.
@@ -28,7 +29,7 @@ const PORTION: usize = 16;
 ///
 /// The result is the same on any number of threads.
 ///
-/// Memory: about 13 floats per pixel of the image (3.5 without the doubled octave), and some rows per thread.
+/// Memory: about four floats per pixel of the image (one without the doubled octave), and some rows per thread.
 #[derive(Debug)]
 pub struct Sift {
     options: Options,

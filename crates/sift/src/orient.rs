@@ -1,7 +1,7 @@
 //! Dominant gradient directions of a keypoint (Lowe, IJCV 2004, section 5).
 //!
 //! A histogram of 36 directions over a disc of radius 4.5 sigma, weighted by gradient magnitude and a Gaussian of 1.5 sigma
-//! around the refined position. Votes are shared between the two nearest bins; the histogram is smoothed, and each peak of at
+//! around the refined position, in the layer after the keypoint's own (see [`crate::describe`]). Votes are shared between the two nearest bins; the histogram is smoothed, and each peak of at
 //! least 0.8 of the highest gives an orientation, interpolated by a parabola.
 
 use std::f32::consts::{PI, TAU};
@@ -18,9 +18,6 @@ const WINDOW: f32 = 1.5;
 
 /// Radius of the disc in units of the window.
 const RADIUS: f32 = 3.0;
-
-/// Sigma in pixels of the plane from which every second pixel says enough.
-const SMOOTH: f32 = 2.2;
 
 /// Least height of a further peak, relative to the highest.
 const PEAK: f32 = 0.8;
@@ -82,28 +79,25 @@ fn histogram<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32) -> [f32; 
     let (top, bottom) = (first(y), last(y, plane.height));
     plane.touch(left - 1..right + 2, top - 1..bottom + 2);
     let lanes = f32x8::from_slice(s, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
-    // Where the plane is smooth enough, every second pixel as on a chess board.
-    let step = if sigma > SMOOTH { 2 } else { 1 };
-    let lanes = lanes * step as f32;
     for row in top..=bottom {
         let dy = row as f32 - y;
         let half = (radius * radius - dy * dy).max(0.0).sqrt();
         let begin = ((x - half).ceil().max(left as f32)) as usize;
         let end = ((x + half).floor().min(right as f32) + 1.0).max(0.0) as usize;
-        let begin = begin + (begin + row) % step;
         let rows = [row - 1, row, row + 1].map(|y| plane.row(y));
-        for start in (begin..end).step_by(8 * step) {
-            let count = (end - start).div_ceil(step).min(8);
-            let (gx, gy) = if start + 17 <= plane.width {
+        for start in (begin..end).step_by(8) {
+            let count = (end - start).min(8);
+            let (gx, gy) = if start + 9 <= plane.width {
                 let [above, here, below] = rows;
+                let eight = |row: &[f32], at: usize| f32x8::from_slice(s, &row[at..at + 8]);
                 (
-                    every(s, step, here, start + 1) - every(s, step, here, start - 1),
-                    every(s, step, below, start) - every(s, step, above, start),
+                    eight(here, start + 1) - eight(here, start - 1),
+                    eight(below, start) - eight(above, start),
                 )
             } else {
                 let (mut gx, mut gy) = ([0.0; 8], [0.0; 8]);
                 for i in 0..count {
-                    let at = start + step * i;
+                    let at = start + i;
                     gx[i] = rows[1][at + 1] - rows[1][at - 1];
                     gy[i] = rows[2][at] - rows[0][at];
                 }
@@ -136,17 +130,6 @@ fn histogram<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32) -> [f32; 
         }
     }
     histogram
-}
-
-/// Eight values from `at` on, `step` (1 or 2) apart; reads 16.
-#[inline(always)]
-fn every<S: Simd>(s: S, step: usize, row: &[f32], at: usize) -> f32x8<S> {
-    let row = &row[at..][..16];
-    let values = f32x8::from_slice(s, &row[..8]);
-    if step == 1 {
-        return values;
-    }
-    values.deinterleave(f32x8::from_slice(s, &row[8..])).0
 }
 
 /// Circular smoothing with (1 4 6 4 1) / 16.

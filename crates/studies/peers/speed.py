@@ -526,9 +526,11 @@ NOTES = """1. Our fast mode, which leaves out the doubled image: another, smalle
 Times are the median over the rounds of the best repetition in a round; the ratio is OpenCV's time over ours, per round, the
 median with the smallest and largest. Within a round the sides take turns. Engines are made and images decoded beforehand, and
 the warm-up round is not counted. The peer is the fastest of the variants of OpenCV. Both sides have their default settings but
-for the number of features; "best" keeps that many keypoints in OpenCV, and that many extrema in ours, which with their
-orientations are more. Counts are ours / theirs (affine: inliers; match: accepted pairs of ours, all queries of theirs). "-": the
-difference of the two times is too small to be told from noise."""
+for the number of features; "best" keeps that many on both sides, where each orientation counts as one. Counts are ours / theirs
+(affine: inliers; match: accepted pairs of ours, all queries of theirs). "-": the difference of the two times is too small to be
+told from noise.
+
+What limits these figures, and what was tried: [sift-limits.md](sift-limits.md)."""
 
 
 def document(comparison: Comparison, extras: list[list[str]], versions: str, built_from: str) -> str:

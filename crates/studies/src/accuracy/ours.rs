@@ -117,7 +117,7 @@ pub const SETTINGS: [Setting; 10] = [
     },
     Setting {
         name: "program",
-        says: "as `register` does it: nothing known, 4000 extrema",
+        says: "as `register --features 4000` does it: nothing known",
         view: look(4000, -1),
         target: |_| look(4000, -1),
         keep: Keep::All,
@@ -125,7 +125,7 @@ pub const SETTINGS: [Setting; 10] = [
     },
     Setting {
         name: "servo",
-        says: "as the servo does it: the scale known, 3000 extrema in the view, 8000 in the target",
+        says: "as the servo does it: the scale known, 3000 features in the view, 8000 in the target",
         view: look(3000, -1),
         target: |_| look(8000, -1),
         keep: Keep::All,
