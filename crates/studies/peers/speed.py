@@ -118,7 +118,12 @@ class Piece:
     each: bool = False
     # What OpenCV is asked, where it is something else.
     peer: str | None = None
+    # Whether that is the piece alone, so that nothing is taken from it.
+    alone: bool = False
     fast: bool = False
+
+    def minus_of_peer(self) -> str | None:
+        return None if self.alone else self.minus
 
     @property
     def group(self) -> str:
@@ -132,8 +137,8 @@ PIECES = [
     Piece("scan", "pyramid + scan", "scan"),
     Piece("refine-best", f"refine + orient, {BEST} best", "detect_best", minus="scan"),
     Piece("refine-all", "refine + orient, all", "detect_all", minus="scan"),
-    Piece("describe-best", f"describe, us per keypoint, {BEST} best", "describe_best", minus="detect_best", each=True),
-    Piece("describe-all", "describe, us per keypoint, all", "describe_all", minus="detect_all", each=True),
+    Piece("describe-best", f"describe, us per keypoint, {BEST} best", "describe_best", minus="detect_best", each=True, peer="compute_best", alone=True),
+    Piece("describe-all", "describe, us per keypoint, all", "describe_all", minus="detect_all", each=True, peer="compute_all", alone=True),
     Piece("whole-best", f"detect + describe, {BEST} best", "describe_best"),
     Piece("whole-all", "detect + describe, all", "describe_all"),
     Piece("whole-fast", f"detect + describe, {BEST} best, from octave 0 (1)", "describe_fast", peer="describe_best", fast=True),
@@ -156,6 +161,8 @@ REQUESTS: dict[str, Json] = {
     "describe_best": {"piece": "describe", "most": BEST},
     "describe_all": {"piece": "describe"},
     "describe_fast": {"piece": "describe", "most": BEST, "first_octave": 0},
+    "compute_best": {"piece": "compute", "most": BEST},
+    "compute_all": {"piece": "compute"},
     "affine": {"piece": "affine", "most": BEST},
     "affine_fast": {"piece": "affine", "most": BEST, "first_octave": 0},
     **{f"{kind}_{n}": {"piece": kind, "number": n} for kind in ("match", "flann") for n in (500, 2000, 5000)},
@@ -248,7 +255,7 @@ class Comparison:
         # How the image is doubled does not matter to a matcher.
         peers = [s for s in self.peers if not s.settings["precise"]] if pieces[0].group in PAIRS else self.peers
         ours = {m for p in pieces for m in (p.measure, p.minus) if m}
-        theirs = {m for p in pieces for m in (p.peer or p.measure, p.minus) if m}
+        theirs = {m for p in pieces for m in (p.peer or p.measure, p.minus_of_peer()) if m}
         return [(s, m) for m in REQUESTS for s in [self.ours, *peers] if m in (ours if s is self.ours else theirs)]
 
     def run(self, image: Image, threads: int, pieces: list[Piece]) -> None:
@@ -307,6 +314,8 @@ class Comparison:
                 continue
             ours = first[self.ours.name, measure]["count"]
             theirs = [first[s.name, measure]["count"] for s in self.peers if (s.name, measure) in first]
+            if not theirs:
+                continue
             good = all(t and COUNT_RATIO[0] <= ours / t <= COUNT_RATIO[1] for t in theirs)
             if measure.startswith("describe") or not good:
                 numbers = "/".join(map(str, sorted(set(theirs))))
@@ -329,10 +338,9 @@ class Comparison:
         self, piece: Piece, image: Image, threads: int, times: Times, counts: dict[tuple[str, str], int], kept: set[str], failed: dict[str, str]
     ) -> Row:
         def value(side: str, measure: str, number: int) -> float | None:
-            whole = times[side, measure][number]
-            if not piece.minus:
-                return whole
-            rest = whole - times[side, piece.minus][number]
+            rest = whole = times[side, measure][number]
+            if minus := piece.minus if side == self.ours.name else piece.minus_of_peer():
+                rest -= times[side, minus][number]
             if rest < LEAST_SHARE * whole:
                 return None
             return 1e3 * rest / max(counts[side, measure], 1) if piece.each else rest
@@ -527,8 +535,9 @@ Times are the median over the rounds of the best repetition in a round; the rati
 median with the smallest and largest. Within a round the sides take turns. Engines are made and images decoded beforehand, and
 the warm-up round is not counted. The peer is the fastest of the variants of OpenCV. Both sides have their default settings but
 for the number of features; "best" keeps that many on both sides, where each orientation counts as one. Counts are ours / theirs
-(affine: inliers; match: accepted pairs of ours, all queries of theirs). "-": the difference of the two times is too small to be
-told from noise.
+(affine: inliers; match: accepted pairs of ours, all queries of theirs). Refine + orient, and our describe, are differences of
+two times; "-": too small a one to be told from noise. OpenCV's describe is what its `compute` takes longer for every keypoint given
+several times than for every keypoint once.
 
 What limits these figures, and what was tried: [sift-limits.md](sift-limits.md)."""
 
