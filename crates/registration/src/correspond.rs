@@ -114,7 +114,8 @@ fn noise(scale: f64, response: f32, distance_sq: u32) -> f64 {
 
 /// Matches view features to target features (exact brute force, ratio and mutual test) among admissible pairs.
 ///
-/// The sigma of each correspondence is in target pixels, up to a common factor: see [`noise`].
+/// The sigma of each correspondence is in target pixels, up to a common factor: it grows with the scale of the keypoints and the
+/// distance of their descriptors, and falls with the weaker response.
 pub fn correspondences(
     view: &Features,
     target: &Features,
