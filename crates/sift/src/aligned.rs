@@ -3,7 +3,7 @@
 use std::ops::{Deref, DerefMut};
 
 /// Floats in a cache line.
-pub(crate) const LINE: usize = 16;
+const LINE: usize = 16;
 
 /// Floats of which the first lies at the begin of a cache line, so that vectors at multiples of their length never lie on two.
 /// That is for speed only: nothing goes wrong where the memory cannot be had so.

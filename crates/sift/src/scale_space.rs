@@ -14,7 +14,7 @@ use std::ops::Range;
 use fearless_simd::{Simd, f32x8, prelude::*};
 
 use crate::GrayImage;
-use crate::aligned::{Aligned, LINE};
+use crate::aligned::Aligned;
 use crate::blur::{BLOCK, Doubling, Kernel, along, along_doubled, down, mirrored};
 
 /// Columns of a tile, without its overlap.
@@ -526,8 +526,6 @@ impl Chain<'_> {
         .unwrap_or(0)
         .next_multiple_of(BLOCK)
             + 2 * BLOCK;
-        // An odd number of lines: rows one above the other then do not fight for the same places in the caches.
-        let stride = stride + LINE * (1 - stride / LINE % 2);
         for (level, ring) in rings.iter_mut().enumerate() {
             ring.next = ring.rows.start;
             ring.origin = if self.is_visible(level) {
