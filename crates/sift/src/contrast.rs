@@ -43,10 +43,11 @@ impl Contrast {
                 noise: 0.0,
             });
         }
-        let spread = percentile_range(data).max((high - low) / FULL_RANGE_DIVISOR);
+        let (spread, noise) = rayon::join(|| percentile_range(data), || noise_sigma(image));
+        let spread = spread.max((high - low) / FULL_RANGE_DIVISOR);
         Some(Self {
             base: (threshold * spread).max(rounding),
-            noise: noise_sigma(image),
+            noise,
         })
     }
 

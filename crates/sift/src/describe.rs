@@ -94,6 +94,20 @@ impl Weights {
     }
 }
 
+/// The sum of each vector's lanes: of neighbours first, all eight vectors at once.
+#[inline(always)]
+fn totals<S: Simd>([a, b, c, d, e, f, g, h]: [f32x8<S>; 8]) -> f32x8<S> {
+    let (a, b, c, d) = (pairs(a, b), pairs(c, d), pairs(e, f), pairs(g, h));
+    pairs(pairs(a, b), pairs(c, d))
+}
+
+/// The sums of neighbours in `a`, then of those in `b`.
+#[inline(always)]
+fn pairs<S: Simd>(a: f32x8<S>, b: f32x8<S>) -> f32x8<S> {
+    let (even, odd) = a.deinterleave(b);
+    even + odd
+}
+
 /// A value and the next one, side by side.
 ///
 /// # Safety
@@ -257,14 +271,15 @@ impl Patch {
                 *share = f32x8::from_slice(s, &weights[8 * k..8 * k + 8]);
             }
             for row in 0..PLACES {
-                for d in 0..DIRECTIONS {
-                    let votes = &votes[row + 1][d];
-                    let mut sum = votes[0] * shares[0];
+                let mut sums = [zero; DIRECTIONS];
+                for (sum, votes) in sums.iter_mut().zip(&votes[row + 1]) {
+                    *sum = votes[0] * shares[0];
                     for k in 1..VECTORS {
-                        sum = votes[k].mul_add(shares[k], sum);
+                        *sum = votes[k].mul_add(shares[k], *sum);
                     }
-                    histogram[(row * PLACES + column) * DIRECTIONS + d] = sum.reduce_sum();
                 }
+                let at = (row * PLACES + column) * DIRECTIONS;
+                totals(sums).store_slice(&mut histogram[at..at + DIRECTIONS]);
             }
         }
         histogram

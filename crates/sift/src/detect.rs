@@ -315,23 +315,19 @@ fn is_extremum<S: Simd>(
     let [left, v, right, _] = cut(differences, layer, y, x);
     let sign = 1.0_f32.copysign(*v);
     let signs = f32x4::from_slice(s, &[sign, sign, sign, 0.0]);
-    let most = |rows: [(usize, usize); 4]| {
-        let [a, b, c, d] = rows;
-        let row = |(layer, y)| f32x4::from_slice(s, cut(differences, layer, y, x)) * signs;
-        row(a).max(row(b)).max(row(c).max(row(d)))
-    };
-    let earlier = most([
-        (layer, y - 1),
-        (layer - 1, y),
-        (layer - 1, y - 1),
-        (layer - 1, y + 1),
-    ]);
-    let later = most([
-        (layer, y + 1),
-        (layer + 1, y),
-        (layer + 1, y - 1),
-        (layer + 1, y + 1),
-    ]);
+    // The strongest in the row and the layer before, and in those after.
+    let mut sides = [f32x4::splat(s, 0.0); 2];
+    for (side, (row, beside)) in [(y - 1, layer - 1), (y + 1, layer + 1)]
+        .into_iter()
+        .enumerate()
+    {
+        sides[side] = f32x4::from_slice(s, cut(differences, layer, row, x)) * signs;
+        for row in y - 1..=y + 1 {
+            let values = f32x4::from_slice(s, cut(differences, beside, row, x)) * signs;
+            sides[side] = sides[side].max(values);
+        }
+    }
+    let [earlier, later] = sides;
     let v = v.abs();
     let beaten = earlier.simd_lt(f32x4::splat(s, v)) & later.simd_le(f32x4::splat(s, v));
     beaten.all_true() && left * sign < v && right * sign <= v

@@ -136,10 +136,13 @@ impl Sift {
         let wanted = self.options.max_features;
         let mut rest = &self.work.found[..];
         let (mut keypoints, mut descriptors) = (Vec::new(), Vec::new());
+        // Keypoints that so many extrema have: at first a guess, then what was seen.
+        let (mut made_of, mut made_are) = (3, 4);
         while !rest.is_empty() && keypoints.len() < wanted {
-            // One in three or four has a second orientation. What is still missing then follows.
             let missing = wanted - keypoints.len();
-            let count = (missing - missing / 4).max(32).min(rest.len());
+            let count = (missing.saturating_mul(made_of) / made_are)
+                .max(2 * PORTION)
+                .min(rest.len());
             let (now, later) = rest.split_at(count);
             rest = later;
             let walk = walk(now);
@@ -151,20 +154,14 @@ impl Sift {
             made.par_iter_mut()
                 .zip(walk.par_chunks(PORTION))
                 .for_each(|(portion, ranks)| self.fill(portion, now, ranks, described));
-            // Back into order of strength.
-            let mut order: Vec<(usize, usize, usize)> = (made.iter().enumerate())
-                .flat_map(|(p, portion)| {
-                    let ranks = portion.keypoints.iter().map(|(rank, _)| *rank);
-                    ranks.enumerate().map(move |(i, rank)| (rank, p, i))
-                })
-                .collect();
-            order.sort_unstable();
+            let mut order = by_rank(made, count);
+            (made_of, made_are) = (made_of + count, made_are + order.len());
             order.truncate(missing);
             keypoints.reserve_exact(order.len());
-            keypoints.extend(order.iter().map(|&(_, p, i)| made[p].keypoints[i].1));
+            keypoints.extend(order.iter().map(|&(p, i)| made[p].keypoints[i].1));
             if described {
                 descriptors.reserve_exact(order.len());
-                descriptors.extend(order.iter().map(|&(_, p, i)| made[p].descriptors[i]));
+                descriptors.extend(order.iter().map(|&(p, i)| made[p].descriptors[i]));
             }
         }
         self.work.portions = portions;
@@ -383,7 +380,8 @@ fn gather(bands: &mut [Band], found: &mut Vec<Extremum>, bar: &mut Bar) {
         found.extend(new.filter(|e| e.response >= weakest));
     }
     // Two samples may lead to the same extremum.
-    found[before..].sort_unstable_by_key(|e| (e.layer, e.sample.1, e.sample.0));
+    let place = |e: &Extremum| packed([e.layer, e.sample.1, e.sample.0]);
+    found[before..].sort_unstable_by_key(place);
     let mut kept = before;
     for i in before..found.len() {
         let e = found[i];
@@ -400,18 +398,40 @@ fn gather(bands: &mut [Band], found: &mut Vec<Extremum>, bar: &mut Bar) {
     found.truncate(kept);
 }
 
+/// Where the keypoints of `count` extrema are, portion and place in it, back in order of strength.
+fn by_rank(made: &[Portion], count: usize) -> Vec<(usize, usize)> {
+    // How many keypoints come before those of each extremum.
+    let mut before = vec![0; count + 1];
+    for (rank, _) in made.iter().flat_map(|portion| &portion.keypoints) {
+        before[rank + 1] += 1;
+    }
+    for rank in 0..count {
+        before[rank + 1] += before[rank];
+    }
+    let mut order = vec![(0, 0); before[count]];
+    for (p, portion) in made.iter().enumerate() {
+        for (i, (rank, _)) in portion.keypoints.iter().enumerate() {
+            order[before[*rank]] = (p, i);
+            before[*rank] += 1;
+        }
+    }
+    order
+}
+
 /// Neighbours in the image one after the other, which is kinder to the caches than order of strength.
 fn walk(found: &[Extremum]) -> Vec<usize> {
-    let mut walk: Vec<usize> = (0..found.len()).collect();
-    walk.sort_unstable_by_key(|&i| {
-        (
-            found[i].octave,
-            found[i].layer,
-            found[i].y as u32 / 32,
-            found[i].x as u32,
-        )
-    });
-    walk
+    let place = |e: &Extremum| {
+        let layer = (e.octave + 1) as usize * 16 + e.layer;
+        packed([layer, e.y as usize / 32, e.x as usize])
+    };
+    let mut walk: Vec<(u64, usize)> = found.iter().map(place).zip(0..).collect();
+    walk.sort_unstable();
+    walk.into_iter().map(|(_, rank)| rank).collect()
+}
+
+/// Layer, row and column in one number, in order: sides have fewer than 2^24 pixels.
+fn packed([layer, y, x]: [usize; 3]) -> u64 {
+    (layer as u64) << 48 | (y as u64) << 24 | x as u64
 }
 
 /// Makes the levels of `chain`, band by band on all threads, with what is kept of them in `planes`, and looks for extrema on the

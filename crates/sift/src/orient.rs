@@ -132,22 +132,44 @@ fn histogram<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32) -> [f32; 
     histogram
 }
 
-/// Circular smoothing with (1 4 6 4 1) / 16.
-fn smoothed(h: &[f32; BINS]) -> [f32; BINS] {
-    std::array::from_fn(|i| {
-        let at = |d: usize| h[(i + d) % BINS];
-        (at(BINS - 2) + at(2)) / 16.0 + (at(BINS - 1) + at(1)) / 4.0 + at(0) * 0.375
-    })
+/// A circle of bins with the last two before the first and the first two after the last.
+#[inline(always)]
+fn unrolled(h: &[f32; BINS]) -> [f32; BINS + 4] {
+    let mut line = [0.0; BINS + 4];
+    line[..2].copy_from_slice(&h[BINS - 2..]);
+    line[2..BINS + 2].copy_from_slice(h);
+    line[BINS + 2..].copy_from_slice(&h[..2]);
+    line
 }
 
+/// Circular smoothing with (1 4 6 4 1) / 16.
+#[inline(always)]
+fn smoothed(h: &[f32; BINS]) -> [f32; BINS] {
+    let line = unrolled(h);
+    let mut smooth = [0.0; BINS];
+    for (i, smooth) in smooth.iter_mut().enumerate() {
+        let [a, b, c, d, e] = [line[i], line[i + 1], line[i + 2], line[i + 3], line[i + 4]];
+        *smooth = (a + e) / 16.0 + (b + d) / 4.0 + c * 0.375;
+    }
+    smooth
+}
+
+#[inline(always)]
 fn peaks(h: &[f32; BINS]) -> Orientations {
+    let line = unrolled(h);
     let mut found = [(0.0, 0.0); MAX_PEAKS];
     let mut count = 0;
-    let highest = h.iter().fold(0.0_f32, |a, &b| a.max(b));
+    let highest = h.iter().fold(0.0_f32, |a, &b| if b > a { b } else { a });
+    // Few bins are high, and none when there is no gradient.
+    let least = if highest > 0.0 {
+        PEAK * highest
+    } else {
+        f32::INFINITY
+    };
     for i in 0..BINS {
-        let (before, here, after) = (h[(i + BINS - 1) % BINS], h[i], h[(i + 1) % BINS]);
+        let (before, here, after) = (line[i + 1], h[i], line[i + 3]);
         // Of two equal neighbours the first counts, and the parabola puts the peak between them.
-        let peak = highest > 0.0 && here >= PEAK * highest && here > before && here >= after;
+        let peak = here >= least && here > before && here >= after;
         if !peak {
             continue;
         }
