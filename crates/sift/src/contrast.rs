@@ -31,7 +31,10 @@ impl Contrast {
     /// `None` for an image without any structure above rounding.
     pub(crate) fn of(image: &GrayImage, options: &Options) -> Option<Self> {
         let data = image.data();
-        let (low, high) = range(data);
+        let ((spread, (low, high)), noise) = rayon::join(
+            || (percentile_range(data), range(data)),
+            || noise_sigma(image),
+        );
         let rounding = ROUNDING * high.abs().max(low.abs());
         if high - low <= rounding {
             return None;
@@ -43,7 +46,6 @@ impl Contrast {
                 noise: 0.0,
             });
         }
-        let (spread, noise) = rayon::join(|| percentile_range(data), || noise_sigma(image));
         let spread = spread.max((high - low) / FULL_RANGE_DIVISOR);
         Some(Self {
             base: (threshold * spread).max(rounding),

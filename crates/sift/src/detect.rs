@@ -53,16 +53,20 @@ pub(crate) struct Extremum {
     pub(crate) response: f32,
     /// Sample at which the fit ended: column, row.
     pub(crate) sample: (usize, usize),
+    /// Whether the fit began elsewhere, so that another may have ended here too.
+    pub(crate) moved: bool,
 }
 
 impl Extremum {
-    /// Strongest first; a total order, so that a cut after N does not depend on the order of detection.
+    /// Strongest first; a total order, so that a cut after N does not depend on the order of detection. The same extremum, found
+    /// twice, stands side by side.
     pub(crate) fn rank(&self, other: &Self) -> Ordering {
         (other.response.total_cmp(&self.response))
             .then(self.octave.cmp(&other.octave))
             .then(self.layer.cmp(&other.layer))
             .then(self.y.total_cmp(&other.y))
             .then(self.x.total_cmp(&other.x))
+            .then(self.sample.cmp(&other.sample))
     }
 }
 
@@ -105,7 +109,7 @@ impl Bar {
         self.above.clear();
     }
 
-    /// Takes the response of one more extremum, which no other call reports.
+    /// Takes the response of one more extremum, which no other call reports: of those that have not [moved](Extremum::moved).
     pub(crate) fn see(&mut self, response: f32) {
         if response <= self.weakest {
             return;
@@ -595,6 +599,7 @@ fn refine<S: Simd>(
         sigma: options.sigma_at(ps as f32),
         response,
         sample: (x, y),
+        moved: moves > 0,
     })
 }
 

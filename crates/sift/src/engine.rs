@@ -271,12 +271,7 @@ impl Sift {
             let bands = run(*simd, &chain, planes, &mut work.bands, Some(&scan));
             gather(bands, &mut work.found, &mut work.bar);
         }
-        let found = &mut work.found;
-        if found.len() > options.max_features {
-            found.select_nth_unstable_by(options.max_features, Extremum::rank);
-            found.truncate(options.max_features);
-        }
-        found.sort_unstable_by(Extremum::rank);
+        choose(&mut work.found, options.max_features);
     }
 }
 
@@ -368,36 +363,38 @@ fn further_levels<'a>(options: &Options, finer: &'a [Plane], layer_0: &'a Plane)
     levels
 }
 
-/// Adds what the bands of an octave have found and may be strong enough.
+/// Adds what the bands of an octave have found and may be strong enough; what two samples have led to comes twice.
 fn gather(bands: &mut [Band], found: &mut Vec<Extremum>, bar: &mut Bar) {
     let mut weakest = 0.0_f32;
     for band in bands.iter_mut() {
         weakest = weakest.max(band.scanner.found().1);
     }
-    let before = found.len();
     for band in bands {
-        let new = band.scanner.found().0.iter();
-        found.extend(new.filter(|e| e.response >= weakest));
-    }
-    // Two samples may lead to the same extremum.
-    let place = |e: &Extremum| packed([e.layer, e.sample.1, e.sample.0]);
-    found[before..].sort_unstable_by_key(place);
-    let mut kept = before;
-    for i in before..found.len() {
-        let e = found[i];
-        let again = kept > before && {
-            let last = &found[kept - 1];
-            (last.layer, last.sample) == (e.layer, e.sample)
-        };
-        if !again {
-            bar.see(e.response);
-            found[kept] = e;
-            kept += 1;
+        for e in band.scanner.found().0 {
+            if e.response < weakest {
+                continue;
+            }
+            found.push(*e);
+            if !e.moved {
+                bar.see(e.response);
+            }
         }
     }
-    found.truncate(kept);
 }
 
+/// The `most` strongest of what was found, the strongest first, each once.
+fn choose(found: &mut Vec<Extremum>, most: usize) {
+    // Only what a fit has moved to may be there already.
+    let moved = found.iter().filter(|e| e.moved).count();
+    let enough = most.saturating_add(moved);
+    if found.len() > enough {
+        found.select_nth_unstable_by(enough, Extremum::rank);
+        found.truncate(enough);
+    }
+    found.sort_unstable_by(Extremum::rank);
+    found.dedup_by_key(|e| (e.octave, e.layer, e.sample));
+    found.truncate(most);
+}
 /// Where the keypoints of `count` extrema are, portion and place in it, back in order of strength.
 fn by_rank(made: &[Portion], count: usize) -> Vec<(usize, usize)> {
     // How many keypoints come before those of each extremum.
