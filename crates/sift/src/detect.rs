@@ -79,7 +79,7 @@ const LEAST_SHARE: f32 = 0.8;
 pub(crate) struct Scan<'a> {
     pub(crate) options: &'a Options,
     /// Least |DoG| by layer.
-    pub(crate) thresholds: &'a [f32],
+    pub(crate) thresholds: Vec<f32>,
     pub(crate) octave: i32,
     /// Level of the chain that is Gaussian layer 0.
     pub(crate) base: usize,
@@ -519,7 +519,7 @@ fn refine<S: Simd>(
 ) -> Option<Extremum> {
     let Scan {
         options,
-        thresholds,
+        ref thresholds,
         octave,
         ref layers,
         ..

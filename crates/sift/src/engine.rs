@@ -130,6 +130,56 @@ impl Sift {
         }
     }
 
+    /// Describes places that are known already: those of another frame, or some of an image's own. `descriptors[i]` belongs to
+    /// `keypoints[i]`, which may be as many as one likes; `max_features` does not matter, and nothing is searched.
+    ///
+    /// For all keypoints of [`detect`](Self::detect), the result is that of [`detect_and_describe`](Self::detect_and_describe).
+    ///
+    /// # Errors
+    /// [`SiftError::ForeignKeypoint`] for one outside the image, with an octave or layer that is not searched in it, with a sigma that
+    /// is not half to twice that of its layer, or with an angle that is not finite.
+    pub fn describe(
+        &mut self,
+        image: &GrayImage,
+        keypoints: &[Keypoint],
+    ) -> Result<Vec<Descriptor>, SiftError> {
+        rayon::scope(|_| {
+            let octaves = self.scale_space(image, None);
+            let is_ours = |k: &Keypoint| self.is_ours(k, image, octaves);
+            if let Some(index) = keypoints.iter().position(|k| !is_ours(k)) {
+                return Err(SiftError::ForeignKeypoint { index });
+            }
+            let places: Vec<Extremum> = keypoints.iter().map(extremum).collect();
+            let mut described: Vec<(usize, Descriptor)> = (walk(&places).into_par_iter())
+                .with_min_len(PORTION)
+                .map(|i| {
+                    let (plane, [x, y, sigma]) = self.place_of(&places[i]);
+                    let angle = keypoints[i].angle;
+                    let descriptor = at_level!(self.simd, s => {
+                        describe(s, &self.weights, plane, x, y, sigma, angle)
+                    });
+                    (i, descriptor)
+                })
+                .collect();
+            described.sort_unstable_by_key(|(i, _)| *i);
+            Ok(described.into_iter().map(|(_, d)| d).collect())
+        })
+    }
+
+    /// Whether a keypoint may have been found in an image in which so many octaves are searched.
+    fn is_ours(&self, k: &Keypoint, image: &GrayImage, octaves: usize) -> bool {
+        let inside = |v: f32, size: usize| (-0.5..=size as f32 - 0.5).contains(&v);
+        let (first, layer) = (self.options.first_octave, k.layer as usize);
+        let index = i64::from(k.octave) - i64::from(first);
+        let sigma = (k.octave as f32).exp2() * self.options.sigma_at(k.layer as f32);
+        (0..octaves as i64).contains(&index)
+            && (first_layer(index as usize)..self.options.intervals).contains(&layer)
+            && inside(k.x, image.width())
+            && inside(k.y, image.height())
+            && (0.5 * sigma..=2.0 * sigma).contains(&k.sigma)
+            && k.angle.is_finite()
+    }
+
     /// The first `max_features` keypoints of the extrema found, with their descriptors if wanted.
     fn oriented(&mut self, described: bool) -> (Vec<Keypoint>, Vec<Descriptor>) {
         let mut portions = std::mem::take(&mut self.work.portions);
@@ -205,21 +255,29 @@ impl Sift {
 
     /// The strongest extrema in order of their strength, and the planes around them, into the workspace.
     fn extrema(&mut self, image: &GrayImage) {
+        self.work.found.clear();
+        let Some(contrast) = Contrast::of(image, &self.options) else {
+            return;
+        };
+        self.work.bar.begin(self.options.max_features, 0.0);
+        self.scale_space(image, Some(&contrast));
+        choose(&mut self.work.found, self.options.max_features);
+    }
+
+    /// The planes of all octaves into the workspace, and with `contrast` the extrema that are found on the way. Returns the number of
+    /// octaves.
+    fn scale_space(&mut self, image: &GrayImage, contrast: Option<&Contrast>) -> usize {
         let Self {
             options,
             simd,
             work,
             ..
         } = self;
-        work.found.clear();
-        let Some(contrast) = Contrast::of(image, options) else {
-            return;
-        };
         if !reduce(*simd, options, image, &mut work.reduced, &mut work.bands) {
-            return;
+            return 0;
         }
-        work.bar.begin(options.max_features, 0.0);
-        for octave in 0.. {
+        let mut octave = 0;
+        loop {
             while work.octaves.len() < octave + 2 {
                 work.octaves.push(vec![Plane::default(); options.intervals]);
             }
@@ -232,11 +290,8 @@ impl Sift {
                 (None, Some(reduced)) => (blurred_levels(options, reduced), 0),
                 (None, None) => (first_levels(options, image), 1),
             };
-            // The first octave has nothing finer to compare layer 0 with, so that it is not searched. Layer 1 is then needed
-            // only when it is the last one, which the next octave begins with.
-            let is_first = octave == 0;
-            let first_layer = usize::from(is_first);
-            let first_kept = if is_first {
+            // Layer 1 of the first octave is needed only when it is the last one, which the next octave begins with.
+            let first_kept = if octave == 0 {
                 2.min(options.intervals - 1)
             } else {
                 1
@@ -251,27 +306,28 @@ impl Sift {
                     .collect(),
             );
             if !is_big_enough(chain.size) {
-                break;
+                return octave;
             }
             let index = options.first_octave + octave as i32;
-            let thresholds: Vec<f32> = (0..options.intervals)
-                .map(|layer| contrast.threshold(options, index, layer))
-                .collect();
-            let scan = Scan {
+            let scan = contrast.map(|contrast| Scan {
                 options,
-                thresholds: &thresholds,
+                thresholds: (0..options.intervals)
+                    .map(|layer| contrast.threshold(options, index, layer))
+                    .collect(),
                 octave: index,
                 base,
-                layers: first_layer..options.intervals,
+                layers: first_layer(octave)..options.intervals,
                 weakest: work.bar.raise(),
-            };
+            });
             let planes = (layers_after[first_kept - 1..].iter_mut())
                 .chain([&mut next[0]])
                 .collect();
-            let bands = run(*simd, &chain, planes, &mut work.bands, Some(&scan));
-            gather(bands, &mut work.found, &mut work.bar);
+            let bands = run(*simd, &chain, planes, &mut work.bands, scan.as_ref());
+            if scan.is_some() {
+                gather(bands, &mut work.found, &mut work.bar);
+            }
+            octave += 1;
         }
-        choose(&mut work.found, options.max_features);
     }
 }
 
@@ -283,6 +339,11 @@ fn sigma_at(options: &Options, layer: usize) -> f64 {
 /// What blurs from one sigma to another.
 fn between(from: f64, to: f64) -> f64 {
     (to * to - from * from).sqrt()
+}
+
+/// The first layer of an octave that is searched: the first octave has nothing finer to compare layer 0 with.
+fn first_layer(octave: usize) -> usize {
+    usize::from(octave == 0)
 }
 
 /// Whether an octave is searched.
@@ -489,6 +550,21 @@ fn run<'a>(
 /// [`SiftError::Option`] when `options` fail their [check](Options::check).
 pub fn detect_and_describe(image: &GrayImage, options: &Options) -> Result<Features, SiftError> {
     Ok(Sift::new(options.clone())?.detect_and_describe(image))
+}
+
+/// From the frame of the image to that of the octave: the place of a keypoint.
+fn extremum(k: &Keypoint) -> Extremum {
+    let pixel = (k.octave as f32).exp2();
+    Extremum {
+        octave: k.octave,
+        layer: k.layer as usize,
+        x: k.x / pixel,
+        y: k.y / pixel,
+        sigma: k.sigma / pixel,
+        response: k.response,
+        sample: (0, 0),
+        moved: false,
+    }
 }
 
 /// From the frame of the octave to that of the image.

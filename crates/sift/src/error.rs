@@ -127,4 +127,12 @@ pub enum SiftError {
         /// Index of the first such keypoint.
         index: usize,
     },
+    /// A keypoint that an engine with these options could not have found in this image.
+    #[error(
+        "keypoint {index} lies outside the image, or its octave, layer, size or angle are none that these options give; describe keypoints that were detected with the same options"
+    )]
+    ForeignKeypoint {
+        /// Index of the first such keypoint.
+        index: usize,
+    },
 }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use common::{Random, Scene};
 use scopeservo_sift::{
-    Features, GrayImage, MatchOptions, Options, Sift, SiftError, Simd, match_features,
+    Features, GrayImage, Keypoint, MatchOptions, Options, Sift, SiftError, Simd, match_features,
 };
 
 fn first_octave(first_octave: i32) -> Options {
@@ -156,6 +156,53 @@ fn a_value_that_is_not_finite_is_an_error_with_its_place() {
                 other => panic!("{other:?}"),
             }
         }
+    }
+}
+
+#[test]
+fn a_keypoint_that_cannot_be_is_an_error() {
+    let image = long(64, 48);
+    for simd in Simd::available() {
+        let mut sift = Sift::with(Options::default(), simd).unwrap();
+        let found = sift.detect_and_describe(&image);
+        let good = found.keypoints[0];
+        // The same from all keypoints at once, from them in reverse, one by one, and from none.
+        let described = |sift: &mut Sift, k: &[Keypoint]| sift.describe(&image, k).unwrap();
+        assert_eq!(described(&mut sift, &found.keypoints), found.descriptors);
+        let reversed: Vec<Keypoint> = found.keypoints.iter().rev().copied().collect();
+        let back: Vec<_> = described(&mut sift, &reversed).into_iter().rev().collect();
+        assert_eq!(back, found.descriptors);
+        assert_eq!(described(&mut sift, &[good]), found.descriptors[..1]);
+        assert_eq!(described(&mut sift, &[]), []);
+        let change = |f: fn(&mut Keypoint)| {
+            let mut k = good;
+            f(&mut k);
+            k
+        };
+        for bad in [
+            change(|k| k.x = 64.0),
+            change(|k| k.y = -0.6),
+            change(|k| k.x = f32::NAN),
+            change(|k| k.sigma *= 4.0),
+            change(|k| k.sigma = -k.sigma),
+            change(|k| k.sigma = f32::INFINITY),
+            change(|k| k.angle = f32::NAN),
+            change(|k| k.octave = 7),
+            change(|k| k.octave = i32::MAX),
+            change(|k| k.octave = i32::MIN),
+            change(|k| k.layer = 3),
+            change(|k| k.layer = u32::MAX),
+            change(|k| (k.octave, k.layer, k.sigma) = (-1, 0, 0.8)),
+        ] {
+            let error = sift.describe(&image, &[good, bad, bad]).unwrap_err();
+            assert_eq!(error, SiftError::ForeignKeypoint { index: 1 }, "{bad:?}");
+            assert!(error.to_string().contains("keypoint 1"));
+        }
+        // An image in which nothing is searched has no place for any.
+        let small = GrayImage::from_fn(3, 3, |x, y| (x * y) as f32).unwrap();
+        let error = sift.describe(&small, &[good]).unwrap_err();
+        assert_eq!(error, SiftError::ForeignKeypoint { index: 0 });
+        assert_eq!(sift.describe(&small, &[]), Ok(vec![]));
     }
 }
 

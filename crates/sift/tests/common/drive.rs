@@ -64,6 +64,7 @@ pub(crate) fn drive(data: &[u8]) {
     let options = options(&mut bytes);
     let images = [image(&mut bytes), image(&mut bytes)];
     let fits = options.check().is_ok();
+    let any = keypoints(&mut bytes);
     let mut found = Vec::new();
     for simd in Simd::available() {
         let Ok(mut used) = Sift::with(options.clone(), simd) else {
@@ -75,6 +76,13 @@ pub(crate) fn drive(data: &[u8]) {
             let features = used.detect_and_describe(image);
             features.check().unwrap();
             assert_eq!(features.keypoints, keypoints);
+            assert_eq!(
+                used.describe(image, &keypoints).as_deref(),
+                Ok(&features.descriptors[..])
+            );
+            if let Ok(all) = used.describe(image, &any) {
+                assert_eq!(all.len(), any.len());
+            }
             let new = Sift::with(options.clone(), simd)
                 .unwrap()
                 .detect_and_describe(image);
@@ -176,6 +184,23 @@ fn image(bytes: &mut Bytes<'_>) -> Option<GrayImage> {
 }
 
 /// Features that no image gave: any descriptor within its bounds, keypoints with anything in them.
+/// A few places that may or may not be ones.
+fn keypoints(bytes: &mut Bytes<'_>) -> Vec<Keypoint> {
+    (0..bytes.below(4)).map(|_| keypoint(bytes)).collect()
+}
+
+fn keypoint(bytes: &mut Bytes<'_>) -> Keypoint {
+    Keypoint {
+        x: bytes.f32(0.0, 100.0),
+        y: bytes.f32(0.0, 100.0),
+        sigma: bytes.f32(0.5, 20.0),
+        angle: bytes.f32(-7.0, 7.0),
+        response: bytes.f32(0.0, 1.0),
+        octave: bytes.below(4) as i32 - 1,
+        layer: bytes.below(4) as u32,
+    }
+}
+
 fn features(bytes: &mut Bytes<'_>) -> Features {
     let many = bytes.rarely(16);
     let n = bytes.below(if many { 400 } else { 50 });
@@ -189,13 +214,9 @@ fn features(bytes: &mut Bytes<'_>) -> Features {
         Descriptor::new(components).unwrap_or(Descriptor::ZERO)
     };
     let keypoint = |bytes: &mut Bytes<'_>| Keypoint {
-        x: bytes.f32(0.0, 100.0),
-        y: bytes.f32(0.0, 100.0),
-        sigma: bytes.f32(0.5, 20.0),
-        angle: bytes.f32(-7.0, 7.0),
-        response: bytes.f32(0.0, 1.0),
         octave: 0,
         layer: 1,
+        ..keypoint(bytes)
     };
     Features {
         width: 100,
