@@ -29,18 +29,20 @@ const DIRECTIONS: usize = 8;
 /// Width of a place in units of the keypoint's sigma.
 const PLACE_WIDTH: f32 = 3.4;
 
-/// Descriptor of the keypoint at (x, y) with scale `sigma`, both in pixels of `plane`, turned by `angle` radians.
+/// Descriptor of the keypoint at (x, y) with scale `sigma`, both in pixels of `plane`, turned by `angle` radians. `patch` is
+/// overwritten.
 #[inline(always)]
 pub(crate) fn describe<S: Simd>(
     s: S,
     weights: &Weights,
+    patch: &mut Patch,
     plane: &Plane,
     x: f32,
     y: f32,
     sigma: f32,
     angle: f32,
 ) -> Descriptor {
-    let patch = Patch::sample(s, plane, x, y, sigma, angle);
+    patch.sample(s, plane, x, y, sigma, angle);
     finish(s, &patch.histogram(s, weights))
 }
 
@@ -129,29 +131,36 @@ unsafe fn pair(data: &[f32], at: usize) -> f64 {
 }
 
 /// The surroundings of a keypoint in its own frame: row j, column i at `SPACING * (i - 11.5, j - 11.5)` places.
-struct Patch {
+#[derive(Debug)]
+pub(crate) struct Patch {
     values: [[f32; STRIDE]; SIDE],
-    /// 1 where a sample lies in the image, 0 where not; `None` when all do.
-    inside: Option<[[f32; STRIDE]; SIDE]>,
+    /// Whether samples may lie outside the image, and then: 1 where one lies inside, 0 where not.
+    is_cut: bool,
+    inside: [[f32; STRIDE]; SIDE],
 }
 
 impl Patch {
+    pub(crate) fn new() -> Self {
+        Self {
+            values: [[0.0; STRIDE]; SIDE],
+            is_cut: false,
+            inside: [[0.0; STRIDE]; SIDE],
+        }
+    }
+
     #[inline(always)]
-    fn sample<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> Self {
+    fn sample<S: Simd>(&mut self, s: S, plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) {
         let spacing = SPACING * PLACE_WIDTH * sigma;
         let (sin, cos) = angle.sin_cos();
         let (sin, cos) = (sin * spacing, cos * spacing);
         let centre = 0.5 * (SIDE - 1) as f32;
         let reach = centre * (sin.abs() + cos.abs()) + 1.0;
         let fits = |p: f32, size: usize| p - reach >= 0.0 && p + reach <= size as f32 - 1.0;
-        if fits(x, plane.width) && fits(y, plane.height) {
-            let values = Self::rows::<S, false>(s, plane, [x, y], reach, [cos, sin]).0;
-            let inside = None;
-            Self { values, inside }
+        self.is_cut = !(fits(x, plane.width) && fits(y, plane.height));
+        if self.is_cut {
+            self.rows::<S, true>(s, plane, [x, y], reach, [cos, sin]);
         } else {
-            let (values, inside) = Self::rows::<S, true>(s, plane, [x, y], reach, [cos, sin]);
-            let inside = Some(inside);
-            Self { values, inside }
+            self.rows::<S, false>(s, plane, [x, y], reach, [cos, sin]);
         }
     }
 
@@ -159,14 +168,14 @@ impl Patch {
     #[inline(always)]
     #[expect(unsafe_code, reason = "see `pair`")]
     fn rows<S: Simd, const CLAMP: bool>(
+        &mut self,
         s: S,
         plane: &Plane,
         [x, y]: [f32; 2],
         reach: f32,
         [cos, sin]: [f32; 2],
-    ) -> ([[f32; STRIDE]; SIDE], [[f32; STRIDE]; SIDE]) {
-        let mut values = [[0.0; STRIDE]; SIDE];
-        let mut inside = [[0.0; STRIDE]; SIDE];
+    ) {
+        let Self { values, inside, .. } = self;
         let w = plane.width;
         let most = [w, plane.height].map(|n| f32x8::splat(s, n as f32 - 1.0));
         let least = f32x8::splat(s, 0.0);
@@ -224,18 +233,17 @@ impl Patch {
                 value.store_slice(&mut values[j][8 * k..8 * k + 8]);
             }
         }
-        (values, inside)
     }
 
     /// Votes by (row, column, direction).
     #[inline(always)]
     fn histogram<S: Simd>(&self, s: S, weights: &Weights) -> [f32; 128] {
         let zero = f32x8::splat(s, 0.0);
-        // Votes by place row (with one before and after), direction and column of samples.
-        let mut votes = [[[zero; VECTORS]; DIRECTIONS]; PLACES + 2];
-        for (j, &(place, near, next)) in weights.rows.iter().enumerate() {
+        // Magnitudes, and those times the angle in steps of directions: a loop of their own, so that the long way to an angle is
+        // gone with several at once.
+        let mut gradients = [[[zero; 2]; VECTORS]; SAMPLES];
+        for (j, gradients) in gradients.iter_mut().enumerate() {
             let [above, here, below] = [&self.values[j], &self.values[j + 1], &self.values[j + 2]];
-            let (near, next) = (f32x8::splat(s, near), f32x8::splat(s, next));
             for k in 0..VECTORS {
                 let at = 8 * k;
                 let gx = f32x8::from_slice(s, &here[at + 2..at + 10])
@@ -243,24 +251,39 @@ impl Patch {
                 let gy = f32x8::from_slice(s, &below[at + 1..at + 9])
                     - f32x8::from_slice(s, &above[at + 1..at + 9]);
                 let mut magnitude = (gx * gx + gy * gy).sqrt();
-                if let Some(inside) = &self.inside {
-                    magnitude *= f32x8::from_slice(s, &inside[j + 1][at + 1..at + 9]);
+                if self.is_cut {
+                    magnitude *= f32x8::from_slice(s, &self.inside[j + 1][at + 1..at + 9]);
                 }
+                let turned = magnitude * (angle(s, gx, gy) * (DIRECTIONS as f32 / TAU));
+                gradients[k] = [magnitude, turned];
+            }
+        }
+        // Votes by place row, direction and column of samples.
+        let mut votes = [[[zero; VECTORS]; DIRECTIONS]; PLACES];
+        for (gradients, &(place, near, next)) in gradients.iter().zip(&weights.rows) {
+            let (near, next) = (f32x8::splat(s, near), f32x8::splat(s, next));
+            for k in 0..VECTORS {
                 // Each magnitude is shared between the two nearest directions. `over` is what lies beyond direction d,
                 // 0 to all of it; the vote for d is what lies beyond d - 1 but not beyond d.
-                let turned = magnitude * (angle(s, gx, gy) * (DIRECTIONS as f32 / TAU));
+                let [magnitude, turned] = gradients[k];
                 let mut over = turned.min(magnitude);
-                let mut first = magnitude - over;
+                let mut shares = [magnitude - over; DIRECTIONS];
                 for d in 1..DIRECTIONS {
                     let beyond = (turned - magnitude * d as f32).max(zero).min(magnitude);
-                    let vote = over - beyond;
+                    shares[d] = over - beyond;
                     over = beyond;
-                    votes[place][d][k] = vote.mul_add(near, votes[place][d][k]);
-                    votes[place + 1][d][k] = vote.mul_add(next, votes[place + 1][d][k]);
                 }
-                first += over;
-                votes[place][0][k] = first.mul_add(near, votes[place][0][k]);
-                votes[place + 1][0][k] = first.mul_add(next, votes[place + 1][0][k]);
+                shares[0] += over;
+                if place > 0 {
+                    for (vote, share) in votes[place - 1].iter_mut().zip(&shares) {
+                        vote[k] = share.mul_add(near, vote[k]);
+                    }
+                }
+                if place < PLACES {
+                    for (vote, share) in votes[place].iter_mut().zip(&shares) {
+                        vote[k] = share.mul_add(next, vote[k]);
+                    }
+                }
             }
         }
         let mut histogram = [0.0; 128];
@@ -272,7 +295,7 @@ impl Patch {
             }
             for row in 0..PLACES {
                 let mut sums = [zero; DIRECTIONS];
-                for (sum, votes) in sums.iter_mut().zip(&votes[row + 1]) {
+                for (sum, votes) in sums.iter_mut().zip(&votes[row]) {
                     *sum = votes[0] * shares[0];
                     for k in 1..VECTORS {
                         *sum = votes[k].mul_add(shares[k], *sum);
@@ -305,7 +328,9 @@ mod tests {
         let all: Vec<[f32; 128]> = Token::available()
             .map(|token| {
                 at_level!(token, s => {
-                    Patch::sample(s, plane, x, y, sigma, angle).histogram(s, &weights)
+                    let mut patch = Patch::new();
+                    patch.sample(s, plane, x, y, sigma, angle);
+                    patch.histogram(s, &weights)
                 })
             })
             .collect();

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::blur::{Doubling, Kernel};
 use crate::contrast::Contrast;
-use crate::describe::{Weights, describe};
+use crate::describe::{Patch, Weights, describe};
 use crate::descriptor::Descriptor;
 use crate::detect::{Bar, Extremum, Scan, Scanner};
 use crate::orient::orientations;
@@ -150,19 +150,25 @@ impl Sift {
                 return Err(SiftError::ForeignKeypoint { index });
             }
             let places: Vec<Extremum> = keypoints.iter().map(extremum).collect();
-            let mut described: Vec<(usize, Descriptor)> = (walk(&places).into_par_iter())
-                .with_min_len(PORTION)
-                .map(|i| {
-                    let (plane, [x, y, sigma]) = self.place_of(&places[i]);
-                    let angle = keypoints[i].angle;
-                    let descriptor = at_level!(self.simd, s => {
-                        describe(s, &self.weights, plane, x, y, sigma, angle)
-                    });
-                    (i, descriptor)
+            let walk = walk(&places);
+            let described: Vec<Vec<Descriptor>> = (walk.par_chunks(PORTION))
+                .map_init(Patch::new, |patch, portion| {
+                    let mut described = Vec::with_capacity(portion.len());
+                    for &i in portion {
+                        let (plane, [x, y, sigma]) = self.place_of(&places[i]);
+                        let angle = keypoints[i].angle;
+                        described.push(at_level!(self.simd, s => {
+                            describe(s, &self.weights, patch, plane, x, y, sigma, angle)
+                        }));
+                    }
+                    described
                 })
                 .collect();
-            described.sort_unstable_by_key(|(i, _)| *i);
-            Ok(described.into_iter().map(|(_, d)| d).collect())
+            let mut descriptors = vec![Descriptor::ZERO; keypoints.len()];
+            for (&i, descriptor) in walk.iter().zip(described.iter().flatten()) {
+                descriptors[i] = *descriptor;
+            }
+            Ok(descriptors)
         })
     }
 
@@ -222,13 +228,15 @@ impl Sift {
     fn fill(&self, portion: &mut Portion, found: &[Extremum], ranks: &[usize], described: bool) {
         portion.keypoints.clear();
         portion.descriptors.clear();
+        let mut patch = Patch::new();
         for &rank in ranks {
             let e = &found[rank];
             let (plane, [x, y, sigma]) = self.place_of(e);
             at_level!(self.simd, s => for &angle in orientations(s, plane, x, y, sigma).iter() {
                 portion.keypoints.push((rank, keypoint(e, angle)));
                 if described {
-                    let descriptor = describe(s, &self.weights, plane, x, y, sigma, angle);
+                    let descriptor =
+                        describe(s, &self.weights, &mut patch, plane, x, y, sigma, angle);
                     portion.descriptors.push(descriptor);
                 }
             });

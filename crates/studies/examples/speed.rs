@@ -8,7 +8,7 @@
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use scopeservo_geometry::{Affine2, Mat2};
 use scopeservo_registration::{Options as RegisterOptions, Prior, register};
-use scopeservo_sift::{Features, GrayImage, MatchOptions, Options, Sift, match_features};
+use scopeservo_sift::{Features, GrayImage, Keypoint, MatchOptions, Options, Sift, match_features};
 use scopeservo_slide::Slide;
 use scopeservo_studies::warp::Source;
 use serde_json::{Value, json};
@@ -69,6 +69,7 @@ impl Worker {
             "describe" => self.timed(request, options(request), |sift, image| {
                 sift.detect_and_describe(image).len()
             }),
+            "compute" => self.compute(request),
             "match" => self.matches(request),
             "nearest" => self.nearest(request),
             "affine" => self.affine(request),
@@ -87,6 +88,27 @@ impl Worker {
         let pool = pool(&mut self.pools, request)?;
         let (ms, count) = repeat(request, || pool.install(|| work(sift, image)));
         Ok(json!({ "ms": ms, "count": count }))
+    }
+
+    /// Milliseconds to describe every keypoint once, without the scale space: about `many` of the keypoints, each several times,
+    /// less each of them once.
+    fn compute(&mut self, request: &Value) -> Answer {
+        let many = number(request, "many")?.max(1);
+        let image = image(&mut self.images, text(request, "image")?)?;
+        let sift = engine(&mut self.engines, options(request))?;
+        let pool = pool(&mut self.pools, request)?;
+        let all = pool.install(|| sift.detect(image));
+        let step = all.len().div_ceil(many).max(1);
+        let once: Vec<Keypoint> = all.into_iter().step_by(step).collect();
+        let times = many.div_ceil(once.len().max(1)).max(2);
+        let often = once.repeat(times);
+        let mut least = |keypoints: &[Keypoint]| {
+            let work = || pool.install(|| sift.describe(image, keypoints));
+            let (ms, described) = repeat(request, work);
+            described.map(|_| ms.into_iter().fold(f64::INFINITY, f64::min))
+        };
+        let ms = (least(&often)? - least(&once)?) / (times - 1) as f64;
+        Ok(json!({ "ms": [ms], "count": once.len() }))
     }
 
     /// The `number` strongest features of view and target, both ways.
@@ -160,7 +182,7 @@ impl Worker {
     }
 
     fn strongest(&mut self, request: &Value) -> Result<[Features; 2], Box<dyn Error>> {
-        let number = request["number"].as_u64().unwrap_or(2000) as usize;
+        let number = number(request, "number")?;
         let everything = Options {
             max_features: usize::MAX,
             ..Options::default()
@@ -239,6 +261,13 @@ fn repeat<T>(request: &Value, mut work: impl FnMut() -> T) -> (Vec<f64>, T) {
 fn text<'a>(request: &'a Value, key: &str) -> Result<&'a str, Box<dyn Error>> {
     request[key]
         .as_str()
+        .ok_or_else(|| format!("the request has no {key}").into())
+}
+
+fn number(request: &Value, key: &str) -> Result<usize, Box<dyn Error>> {
+    let number = request[key].as_u64();
+    number
+        .map(|n| n as usize)
         .ok_or_else(|| format!("the request has no {key}").into())
 }
 

@@ -48,20 +48,16 @@ def repeat(request: Request, work: Callable[[], object]) -> tuple[list[float], o
     return ms, value
 
 
-# Keypoints that are described to time the description alone: of more than this only some, of fewer each several times.
-MANY = 20_000
-
-
 @cache
-def keypoints_of(path: str, most: int, precise: bool) -> list[cv2.KeyPoint]:
-    """At most `MANY` of the keypoints, regularly chosen."""
+def keypoints_of(path: str, most: int, many: int, precise: bool) -> list[cv2.KeyPoint]:
+    """At most `many` of the keypoints, regularly chosen."""
     keypoints = sift(most, precise).detect(image(path), None)
-    return list(keypoints)[:: max(1, -(-len(keypoints) // MANY))]
+    return list(keypoints)[:: max(1, -(-len(keypoints) // many))]
 
 
 def compute(request: Request, pixels: np.ndarray, keypoints: list[cv2.KeyPoint], engine: cv2.SIFT) -> dict[str, object]:
     """Milliseconds to describe every keypoint once, without the pyramid: more of the same keypoints, less each of them once."""
-    times = max(2, -(-MANY // max(len(keypoints), 1)))
+    times = max(2, -(-request["many"] // max(len(keypoints), 1)))
     once, _ = repeat(request, lambda: engine.compute(pixels, keypoints))
     many, _ = repeat(request, lambda: engine.compute(pixels, keypoints * times))
     return {"ms": [(min(many) - min(once)) / (times - 1)], "count": len(keypoints)}
@@ -115,7 +111,7 @@ def answer(request: Request) -> dict[str, object]:
         ms, (matrix, inliers) = repeat(request, lambda: affine(pixels, target, engine, matcher))
         return {"ms": ms, "count": inliers, "answer": matrix}
     if piece == "compute":
-        return compute(request, pixels, keypoints_of(request["image"], most, precise), sift(most, precise))
+        return compute(request, pixels, keypoints_of(request["image"], most, request["many"], precise), sift(most, precise))
     if piece == "describe":
         engine = sift(most, precise)
         ms, (keypoints, _) = repeat(request, lambda: engine.detectAndCompute(pixels, None))

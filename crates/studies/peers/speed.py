@@ -39,6 +39,8 @@ SIZES = [(640, 480), (1280, 1024), (2448, 2048)]
 # Share of blocks with structure: name, wanted share, slide.
 KINDS = [("dense", 1.0, "carcinoma_he.png"), ("sparse", 0.3, "embryo_section.png")]
 BEST = 2000
+# What the slowest side takes for its repetitions of one measurement in a round, about; all have as many.
+ROUND_MS = 700
 # A difference of two times below this share of the first is noise.
 LEAST_SHARE = 0.05
 # An OpenCV variant this much slower than the fastest in every piece is not timed further.
@@ -118,12 +120,7 @@ class Piece:
     each: bool = False
     # What OpenCV is asked, where it is something else.
     peer: str | None = None
-    # Whether that is the piece alone, so that nothing is taken from it.
-    alone: bool = False
     fast: bool = False
-
-    def minus_of_peer(self) -> str | None:
-        return None if self.alone else self.minus
 
     @property
     def group(self) -> str:
@@ -137,8 +134,8 @@ PIECES = [
     Piece("scan", "pyramid + scan", "scan"),
     Piece("refine-best", f"refine + orient, {BEST} best", "detect_best", minus="scan"),
     Piece("refine-all", "refine + orient, all", "detect_all", minus="scan"),
-    Piece("describe-best", f"describe, us per keypoint, {BEST} best", "describe_best", minus="detect_best", each=True, peer="compute_best", alone=True),
-    Piece("describe-all", "describe, us per keypoint, all", "describe_all", minus="detect_all", each=True, peer="compute_all", alone=True),
+    Piece("describe-best", f"describe, us per keypoint, {BEST} best", "compute_best", each=True),
+    Piece("describe-all", "describe, us per keypoint, all", "compute_all", each=True),
     Piece("whole-best", f"detect + describe, {BEST} best", "describe_best"),
     Piece("whole-all", "detect + describe, all", "describe_all"),
     Piece("whole-fast", f"detect + describe, {BEST} best, from octave 0 (1)", "describe_fast", peer="describe_best", fast=True),
@@ -245,8 +242,10 @@ class Comparison:
         self.checks: list[str] = []
 
     def ask(self, side: Side, measure: str, image: Image, threads: int, repetitions: int) -> Json:
+        # Describing shall take no less than the scale space that is taken from it.
+        many = max(20_000, image.size[0] * image.size[1] // 80)
         return side.worker.ask(
-            {"image": str(image.view), "target": str(image.target), "threads": threads, "repetitions": repetitions}
+            {"image": str(image.view), "target": str(image.target), "threads": threads, "repetitions": repetitions, "many": many}
             | REQUESTS[measure] | side.settings
         )
 
@@ -255,7 +254,7 @@ class Comparison:
         # How the image is doubled does not matter to a matcher.
         peers = [s for s in self.peers if not s.settings["precise"]] if pieces[0].group in PAIRS else self.peers
         ours = {m for p in pieces for m in (p.measure, p.minus) if m}
-        theirs = {m for p in pieces for m in (p.peer or p.measure, p.minus_of_peer()) if m}
+        theirs = {m for p in pieces for m in (p.peer or p.measure, p.minus) if m}
         return [(s, m) for m in REQUESTS for s in [self.ours, *peers] if m in (ours if s is self.ours else theirs)]
 
     def run(self, image: Image, threads: int, pieces: list[Piece]) -> None:
@@ -277,11 +276,16 @@ class Comparison:
             say(f"{label}: round {number} of {self.rounds}")
             for measure in REQUESTS:
                 sides = [s for s, m in plan if m == measure]
-                turn = number % max(len(sides), 1)
+                if not sides:
+                    continue
+                slowest = max(times[s.name, measure][0] for s in sides)
+                repetitions = min(math.ceil(ROUND_MS / slowest), self.most_repetitions)
+                if measure.startswith("compute"):
+                    # That is a mean over many keypoints already.
+                    repetitions = min(repetitions, 2)
+                turn = number % len(sides)
                 for side in sides[turn:] + sides[:turn]:
-                    before = times[side.name, measure][0]
-                    repetitions = 3 if before < 400 else 2 if before < 1000 else 1
-                    reply = self.ask(side, measure, image, threads, min(repetitions, self.most_repetitions))
+                    reply = self.ask(side, measure, image, threads, repetitions)
                     times[side.name, measure].append(min(reply["ms"]))
         counts = {key: reply["count"] for key, reply in first.items()}
         self.rows += [self.row(p, image, threads, times, counts, kept, failed) for p in pieces]
@@ -339,8 +343,8 @@ class Comparison:
     ) -> Row:
         def value(side: str, measure: str, number: int) -> float | None:
             rest = whole = times[side, measure][number]
-            if minus := piece.minus if side == self.ours.name else piece.minus_of_peer():
-                rest -= times[side, minus][number]
+            if piece.minus:
+                rest -= times[side, piece.minus][number]
             if rest < LEAST_SHARE * whole:
                 return None
             return 1e3 * rest / max(counts[side, measure], 1) if piece.each else rest
@@ -531,13 +535,13 @@ NOTES = """1. Our fast mode, which leaves out the doubled image: another, smalle
 2. The strongest so many features of view and target, two nearest each. Ours also does the ratio and mutual tests.
 3. FLANN is approximate, and for information.
 
-Times are the median over the rounds of the best repetition in a round; the ratio is OpenCV's time over ours, per round, the
+Times are the median over the rounds of the best repetition in a round, of which all sides have as many; the ratio is OpenCV's time over ours, per round, the
 median with the smallest and largest. Within a round the sides take turns. Engines are made and images decoded beforehand, and
 the warm-up round is not counted. The peer is the fastest of the variants of OpenCV. Both sides have their default settings but
 for the number of features; "best" keeps that many on both sides, where each orientation counts as one. Counts are ours / theirs
-(affine: inliers; match: accepted pairs of ours, all queries of theirs). Refine + orient, and our describe, are differences of
-two times; "-": too small a one to be told from noise. OpenCV's describe is what its `compute` takes longer for every keypoint given
-several times than for every keypoint once.
+(affine: inliers; match: accepted pairs of ours, all queries of theirs). Refine + orient is the difference of two times; "-": too
+small a one to be told from noise. Describe is what a side takes longer to describe given keypoints, each side its own, several times
+than once.
 
 What limits these figures, and what was tried: [sift-limits.md](sift-limits.md)."""
 
@@ -650,7 +654,7 @@ def run(given: argparse.Namespace, workers: list[Worker]) -> int:
         pieces = [p for p in pieces if "5000" not in p.name and p.group != "flann"]
     of_pairs = [p for p in pieces if p.group in PAIRS]
     of_images = [p for p in pieces if p not in of_pairs]
-    comparison = Comparison(ours, peers, given.rounds, 1 if given.quick else 3, cache)
+    comparison = Comparison(ours, peers, given.rounds, 1 if given.quick else 8, cache)
     threads = [t for t in (1, 2) if t <= (os.cpu_count() or 1)]
     for image in pictures if of_images else []:
         for t in threads:
