@@ -50,6 +50,7 @@ impl Prior {
                 let off = r.tolerance_rad + KEYPOINT_ANGLE_SLACK_RAD;
                 (wrap(r.angle_rad) as f32, off as f32)
             }),
+            same_polarity: true,
         }
     }
 
@@ -109,7 +110,7 @@ pub(crate) fn wrap(angle: f64) -> f64 {
 /// keypoint is placed less well is the smaller part of it; what is faint, or has changed its looks, is the larger.
 fn noise(scale: f64, response: f32, distance_sq: u32) -> f64 {
     let response = f64::from(response).max(f64::MIN_POSITIVE);
-    scale.powf(0.25) * response.powf(-2.0 / 3.0) * f64::from(distance_sq + 1).powf(0.25)
+    (scale * f64::from(distance_sq + 1)).sqrt().sqrt() / response.cbrt().powi(2)
 }
 
 /// Matches view features to target features (exact brute force, ratio and mutual test) among admissible pairs.
@@ -133,7 +134,7 @@ pub fn correspondences(
                 p_in_a: [f64::from(v.x), f64::from(v.y)],
                 p_in_b: [f64::from(t.x), f64::from(t.y)],
                 sigma: noise(
-                    f64::hypot(st, sv * ratio.unwrap_or(st / sv)),
+                    (st * st + (sv * ratio.unwrap_or(st / sv)).powi(2)).sqrt(),
                     v.response.min(t.response),
                     m.distance_sq,
                 ),
@@ -155,6 +156,7 @@ mod tests {
             sigma,
             angle,
             response: 1.0,
+            bright: true,
             octave: 0,
             layer: 1,
         }

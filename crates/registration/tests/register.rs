@@ -24,6 +24,7 @@ fn keypoint(at: [f64; 2], sigma: f64, angle: f64) -> Keypoint {
         sigma: sigma as f32,
         angle: angle.sin().atan2(angle.cos()) as f32,
         response: 0.1,
+        bright: true,
         octave: 0,
         layer: 1,
     }

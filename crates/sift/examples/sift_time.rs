@@ -88,6 +88,7 @@ fn random_features(n: usize, mut seed: u64) -> Result<Features, Box<dyn std::err
             sigma: 1.0 / (1.0 - 0.94 * unit()),
             angle: std::f32::consts::PI * (2.0 * unit() - 1.0),
             response: 0.1,
+            bright: true,
             octave: 0,
             layer: 1,
         })
@@ -108,6 +109,7 @@ fn time_matching() -> Result<(), Box<dyn std::error::Error>> {
     let known = Gate {
         sigma_ratio: Some((1.0 / 1.7, 1.7)),
         turn_rad: Some((0.3, 0.5)),
+        same_polarity: false,
     };
     for n in [2000, 5000] {
         let (query, train) = (random_features(n, 1)?, random_features(n, 2)?);

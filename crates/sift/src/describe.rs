@@ -29,7 +29,7 @@ const DIRECTIONS: usize = 8;
 /// Width of a place in units of the keypoint's sigma.
 const PLACE_WIDTH: f32 = 3.4;
 
-/// Descriptor of the keypoint at (x, y) with scale `sigma`, both in pixels of `plane`, turned by `angle` radians. `patch` is
+/// Descriptor of the keypoint at (x, y) with scale sigma, all in pixels of `plane`, turned by `angle` radians. `patch` is
 /// overwritten.
 #[inline(always)]
 pub(crate) fn describe<S: Simd>(
@@ -37,9 +37,7 @@ pub(crate) fn describe<S: Simd>(
     weights: &Weights,
     patch: &mut Patch,
     plane: &Plane,
-    x: f32,
-    y: f32,
-    sigma: f32,
+    [x, y, sigma]: [f32; 3],
     angle: f32,
 ) -> Descriptor {
     patch.sample(s, plane, x, y, sigma, angle);

@@ -51,6 +51,8 @@ pub(crate) struct Extremum {
     pub(crate) sigma: f32,
     /// |DoG| at the refined place.
     pub(crate) response: f32,
+    /// Whether it is a minimum, coarse less fine: brighter than its surroundings.
+    pub(crate) bright: bool,
     /// Sample at which the fit ended: column, row.
     pub(crate) sample: (usize, usize),
     /// Whether the fit began elsewhere, so that another may have ended here too.
@@ -598,6 +600,7 @@ fn refine<S: Simd>(
         y: py as f32,
         sigma: options.sigma_at(ps as f32),
         response,
+        bright: fit.value < 0.0,
         sample: (x, y),
         moved: moves > 0,
     })

@@ -155,10 +155,10 @@ impl Sift {
                 .map_init(Patch::new, |patch, portion| {
                     let mut described = Vec::with_capacity(portion.len());
                     for &i in portion {
-                        let (plane, [x, y, sigma]) = self.place_of(&places[i]);
+                        let (plane, place) = self.place_of(&places[i]);
                         let angle = keypoints[i].angle;
                         described.push(at_level!(self.simd, s => {
-                            describe(s, &self.weights, patch, plane, x, y, sigma, angle)
+                            describe(s, &self.weights, patch, plane, place, angle)
                         }));
                     }
                     described
@@ -231,12 +231,12 @@ impl Sift {
         let mut patch = Patch::new();
         for &rank in ranks {
             let e = &found[rank];
-            let (plane, [x, y, sigma]) = self.place_of(e);
-            at_level!(self.simd, s => for &angle in orientations(s, plane, x, y, sigma).iter() {
+            let (plane, place) = self.place_of(e);
+            at_level!(self.simd, s => for &angle in orientations(s, plane, place).iter() {
                 portion.keypoints.push((rank, keypoint(e, angle)));
                 if described {
                     let descriptor =
-                        describe(s, &self.weights, &mut patch, plane, x, y, sigma, angle);
+                        describe(s, &self.weights, &mut patch, plane, place, angle);
                     portion.descriptors.push(descriptor);
                 }
             });
@@ -570,6 +570,7 @@ fn extremum(k: &Keypoint) -> Extremum {
         y: k.y / pixel,
         sigma: k.sigma / pixel,
         response: k.response,
+        bright: k.bright,
         sample: (0, 0),
         moved: false,
     }
@@ -584,6 +585,7 @@ fn keypoint(e: &Extremum, angle: f32) -> Keypoint {
         sigma: e.sigma * pixel,
         angle,
         response: e.response,
+        bright: e.bright,
         octave: e.octave,
         layer: e.layer as u32,
     }

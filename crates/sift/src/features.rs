@@ -17,6 +17,8 @@ pub struct Keypoint {
     pub angle: f32,
     /// |DoG| at the refined extremum, in units of the image values.
     pub response: f32,
+    /// Whether it is brighter than its surroundings, and not darker.
+    pub bright: bool,
     /// Octave in which it was found: pixels there are `2^octave` input pixels; -1 is the doubled image.
     pub octave: i32,
     /// Nearest Gaussian layer within the octave, `0..intervals`.

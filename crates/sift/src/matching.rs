@@ -57,6 +57,8 @@ pub struct Gate {
     pub sigma_ratio: Option<(f32, f32)>,
     /// Expected `train.angle - query.angle` and how far it may be off, both in radians; whole turns do not count.
     pub turn_rad: Option<(f32, f32)>,
+    /// Bright features with bright ones only, dark with dark: right unless one image is the negative of the other.
+    pub same_polarity: bool,
 }
 
 impl Gate {
@@ -66,15 +68,24 @@ impl Gate {
         self.window(query).admits(self.place(train))
     }
 
-    /// Whether it lets everything through.
-    fn is_open(&self) -> bool {
+    /// Whether it has no bounds on sigma and angle.
+    fn is_unbounded(&self) -> bool {
         self.sigma_ratio.is_none() && self.turn_rad.is_none()
+    }
+
+    /// The features that are compared among themselves, each as a test for its members.
+    fn groups(&self) -> &'static [fn(&Keypoint) -> bool] {
+        match self.same_polarity {
+            true => &[|k| k.bright, |k| !k.bright],
+            false => &[|_| true],
+        }
     }
 
     fn place(&self, train: &Keypoint) -> Place {
         Place {
             sigma: self.sigma_ratio.map_or(0.0, |_| train.sigma),
             angle: self.turn_rad.map_or(0.0, |_| wrap(train.angle)),
+            bright: self.same_polarity && train.bright,
         }
     }
 
@@ -92,16 +103,18 @@ impl Gate {
             below,
             angle,
             off,
+            bright: self.same_polarity && query.bright,
         }
     }
 }
 
-/// What a gate looks at in a train keypoint; 0 where it does not look.
+/// What a gate looks at in a train keypoint; 0 or false where it does not look.
 #[derive(Debug, Clone, Copy)]
 struct Place {
     sigma: f32,
     /// In [-pi, pi].
     angle: f32,
+    bright: bool,
 }
 
 /// The places that a query keypoint admits.
@@ -113,15 +126,20 @@ struct Window {
     below: f32,
     /// and the angle, in [-pi, pi],
     angle: f32,
-    /// is less than this off.
+    /// is less than this off;
     off: f32,
+    /// and it is as bright as this.
+    bright: bool,
 }
 
 impl Window {
     #[inline(always)]
     fn admits(&self, place: Place) -> bool {
         let off = (place.angle - self.angle).abs();
-        place.sigma > self.above && place.sigma < self.below && off.min(TAU - off) < self.off
+        place.sigma > self.above
+            && place.sigma < self.below
+            && off.min(TAU - off) < self.off
+            && place.bright == self.bright
     }
 }
 
@@ -257,6 +275,7 @@ mod tests {
                 sigma: 1.0 + 0.1 * next(30) as f32,
                 angle: 0.1 * next(60) as f32 - 3.0,
                 response: 0.1,
+                bright: next(3) > 0,
                 octave: 0,
                 layer: 1,
             })
@@ -298,6 +317,10 @@ mod tests {
     #[test]
     fn kernels_equal_the_scalar_search_in_one_piece_or_many() {
         kernels_equal_the_scalar_search(Gate::default());
+        kernels_equal_the_scalar_search(Gate {
+            same_polarity: true,
+            ..Gate::default()
+        });
     }
 
     #[test]
@@ -309,6 +332,7 @@ mod tests {
         kernels_equal_the_scalar_search(Gate {
             sigma_ratio: Some((0.7, 1.5)),
             turn_rad: Some((3.0, 1.0)),
+            same_polarity: true,
         });
     }
 }

@@ -40,29 +40,62 @@ impl std::ops::Deref for Orientations {
     }
 }
 
-/// Orientations of the keypoint at (x, y) with scale `sigma`, both in pixels of `plane`: radians from +x towards +y in
+/// Orientations of the keypoint at (x, y) with scale sigma, all in pixels of `plane`: radians from +x towards +y in
 /// `(-pi, pi]`; none when there is no gradient at all.
 #[inline(always)]
-pub(crate) fn orientations<S: Simd>(
-    s: S,
-    plane: &Plane,
-    x: f32,
-    y: f32,
-    sigma: f32,
-) -> Orientations {
+pub(crate) fn orientations<S: Simd>(s: S, plane: &Plane, [x, y, sigma]: [f32; 3]) -> Orientations {
     peaks(&smoothed(&histogram(s, plane, x, y, sigma)))
 }
 
 /// Copies of the histogram, so that neighbouring pixels, which point the same way, need not wait for each other.
 const COPIES: usize = 4;
 
-/// From 8 - n on: n ones, then zeros.
-const COUNTED: [f32; 16] = [
-    1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-];
-
 /// Room for the bins of a copy and the neighbour of the last one.
 const SLOTS: usize = 64;
+
+/// Gradients that are kept until they vote together.
+const GATHERED: usize = 128;
+
+/// Gradients in the disc: their magnitudes, as they count, and directions in bins.
+struct Gradients {
+    magnitudes: [f32; GATHERED + 8],
+    places: [f32; GATHERED + 8],
+    count: usize,
+}
+
+impl Gradients {
+    /// Adds the first `count` of eight.
+    #[inline(always)]
+    fn add<S: Simd>(&mut self, magnitudes: f32x8<S>, places: f32x8<S>, count: usize) {
+        // The rest is overwritten by the next ones: rows of a disc are short, and seldom a multiple of eight.
+        magnitudes.store_slice(&mut self.magnitudes[self.count..self.count + 8]);
+        places.store_slice(&mut self.places[self.count..self.count + 8]);
+        self.count += count;
+    }
+
+    /// Each votes for its two nearest bins; then there are none.
+    #[inline(always)]
+    fn vote<S: Simd>(&mut self, s: S, votes: &mut [[f32; SLOTS]; COPIES]) {
+        // Up to a multiple of eight, with some that count nothing.
+        self.magnitudes[self.count..self.count + 8].fill(0.0);
+        self.places[self.count..self.count + 8].fill(0.0);
+        for at in (0..self.count).step_by(8) {
+            let magnitude = f32x8::from_slice(s, &self.magnitudes[at..at + 8]);
+            let place = f32x8::from_slice(s, &self.places[at..at + 8]);
+            let bin: i32x8<S> = place.to_int();
+            let second = magnitude * (place - place.floor());
+            let first = (magnitude - second).to_array();
+            let (bin, second) = (bin.to_array(), second.to_array());
+            for i in 0..8 {
+                let votes = &mut votes[i % COPIES];
+                let bin = bin[i] as usize % SLOTS;
+                votes[bin] += first[i];
+                votes[(bin + 1) % SLOTS] += second[i];
+            }
+        }
+        self.count = 0;
+    }
+}
 
 /// Bin k holds the votes for direction `2 pi k / 36`.
 #[inline(always)]
@@ -79,6 +112,11 @@ fn histogram<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32) -> [f32; 
     let (top, bottom) = (first(y), last(y, plane.height));
     plane.touch(left - 1..right + 2, top - 1..bottom + 2);
     let lanes = f32x8::from_slice(s, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+    let mut gradients = Gradients {
+        magnitudes: [0.0; GATHERED + 8],
+        places: [0.0; GATHERED + 8],
+        count: 0,
+    };
     for row in top..=bottom {
         let dy = row as f32 - y;
         let half = (radius * radius - dy * dy).max(0.0).sqrt();
@@ -107,21 +145,15 @@ fn histogram<S: Simd>(s: S, plane: &Plane, x: f32, y: f32, sigma: f32) -> [f32; 
             let distance_sq = dx
                 .mul_add(dx, f32x8::splat(s, dy * dy))
                 .min(f32x8::splat(s, radius * radius));
-            let counted = f32x8::from_slice(s, &COUNTED[8 - count..16 - count]);
-            let magnitude = (gx * gx + gy * gy).sqrt() * exp(s, distance_sq * falloff) * counted;
+            let magnitude = (gx * gx + gy * gy).sqrt() * exp(s, distance_sq * falloff);
             let place = angle(s, gx, gy) * (BINS as f32 / TAU);
-            let bin: i32x8<S> = place.to_int();
-            let second = magnitude * (place - place.floor());
-            let first = (magnitude - second).to_array();
-            let (bin, second) = (bin.to_array(), second.to_array());
-            for i in 0..8 {
-                let votes = &mut votes[i % COPIES];
-                let bin = bin[i] as usize % SLOTS;
-                votes[bin] += first[i];
-                votes[(bin + 1) % SLOTS] += second[i];
+            gradients.add(magnitude, place, count);
+            if gradients.count > GATHERED - 8 {
+                gradients.vote(s, &mut votes);
             }
         }
     }
+    gradients.vote(s, &mut votes);
     let mut histogram = [0.0; BINS];
     for votes in &votes {
         // 2 pi itself is bin 36, and votes beyond it go to bin 37.
@@ -195,7 +227,7 @@ mod tests {
     /// At the best level, after a look whether the others agree.
     fn orientations(plane: &Plane, x: f32, y: f32, sigma: f32) -> Vec<f32> {
         let all: Vec<Vec<f32>> = Token::available()
-            .map(|token| at_level!(token, s => super::orientations(s, plane, x, y, sigma).to_vec()))
+            .map(|token| at_level!(token, s => super::orientations(s, plane, [x, y, sigma]).to_vec()))
             .collect();
         for found in &all {
             assert_eq!(found.len(), all[0].len());

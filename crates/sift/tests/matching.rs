@@ -21,6 +21,7 @@ fn random(seed: u64, n: usize, ties: bool) -> Features {
             sigma: r.range(0.0, 4.0).exp2() as f32,
             angle: r.range(-std::f64::consts::PI, std::f64::consts::PI) as f32,
             response: 0.1,
+            bright: r.unit() < 0.6,
             octave: 0,
             layer: 1,
         })
@@ -58,7 +59,8 @@ fn admits(gate: &Gate, query: &Keypoint, train: &Keypoint) -> bool {
         let d = f64::from(t.angle) - f64::from(q.angle) - f64::from(turn);
         d.sin().atan2(d.cos()).abs() < f64::from(off)
     });
-    in_scale && turned
+    let alike = !gate.same_polarity || q.bright == t.bright;
+    in_scale && turned && alike
 }
 
 fn naive(a: &Features, b: &Features, options: &MatchOptions, gate: &Gate) -> Vec<Match> {
@@ -116,10 +118,15 @@ const OPTIONS: [MatchOptions; 4] = [
     },
 ];
 
-fn gates() -> [Gate; 6] {
+fn gates() -> [Gate; 8] {
     let gate = |sigma_ratio, turn_rad| Gate {
         sigma_ratio,
         turn_rad,
+        same_polarity: false,
+    };
+    let same_polarity = |gate| Gate {
+        same_polarity: true,
+        ..gate
     };
     [
         Gate::default(),
@@ -128,6 +135,8 @@ fn gates() -> [Gate; 6] {
         gate(Some((2.0, 9.0)), Some((PI - 0.1, 0.7))),
         gate(Some((0.0, f32::INFINITY)), Some((-3.0 * PI, 2.5))),
         gate(Some((0.1, 0.2)), Some((-2.0, 0.05))),
+        same_polarity(Gate::default()),
+        same_polarity(gate(Some((0.6, 1.7)), Some((0.3, 0.9)))),
     ]
 }
 

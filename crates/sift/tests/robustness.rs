@@ -81,6 +81,17 @@ fn noise_alone_gives_few_keypoints_and_does_not_hide_a_spot() {
 }
 
 #[test]
+fn bright_spots_are_bright_and_dark_ones_dark() {
+    for (height, bright) in [(0.3, true), (-0.3, false)] {
+        let f = features(&image(|x, y| {
+            let d_sq = (x as f32 - 50.0).powi(2) + (y as f32 - 40.0).powi(2);
+            0.5 + height * (-d_sq / 8.0).exp()
+        }));
+        assert!(f.keypoints[0].x.round() == 50.0 && f.keypoints[0].bright == bright);
+    }
+}
+
+#[test]
 fn spots_on_black_that_fill_no_percentile_are_found() {
     let f = features(&image(|x, y| {
         (-((x as f32 - 50.0).powi(2) + (y as f32 - 40.0).powi(2)) / 8.0).exp()

@@ -5,7 +5,8 @@
 //! index, whatever the order in which they are seen. `|q|^2` is the same for all and added at the end. The nearest query of a
 //! train feature has the key `(|q|^2 - 2 q t) * 2^15 + i`. Both are a label, known before, less the dot product times 2^16.
 //!
-//! Because order does not matter, a gate may sort both sides by sigma and angle, which leaves out most blocks as a whole.
+//! Because order does not matter, a gate may sort both sides by sigma and angle, which leaves out most blocks as a whole. Features
+//! that it never compares, bright and dark ones, are searched apart.
 
 use std::f32::consts::TAU;
 use std::ops::Range;
@@ -99,9 +100,15 @@ struct Side<'a> {
 }
 
 impl<'a> Side<'a> {
-    fn of(features: &'a Features, range: Range<usize>, gate: &Gate) -> Self {
+    fn of(
+        features: &'a Features,
+        range: Range<usize>,
+        gate: &Gate,
+        is_member: fn(&Keypoint) -> bool,
+    ) -> Self {
         let keypoints = &features.keypoints[range.clone()];
-        let mut order: Vec<usize> = (0..keypoints.len()).collect();
+        let members = (0..keypoints.len()).filter(|&i| is_member(&keypoints[i]));
+        let mut order: Vec<usize> = members.collect();
         let mut strip = order.len().max(1);
         if gate.sigma_ratio.is_some() {
             order.sort_unstable_by(|&i, &j| keypoints[i].sigma.total_cmp(&keypoints[j].sigma));
@@ -168,7 +175,7 @@ impl<'a> Side<'a> {
             };
             for (at, &index) in members.iter().enumerate() {
                 let (g, lane) = (at / lanes, at % lanes);
-                let Place { sigma, angle } = gate.place(&self.keypoints[index]);
+                let Place { sigma, angle, .. } = gate.place(&self.keypoints[index]);
                 for (row, quad) in block.quads.iter_mut().zip(self.quads(index)) {
                     row[g][lane] = quad;
                 }
@@ -282,57 +289,59 @@ pub(super) fn search<D: Dots, const Q: usize, const G: usize>(
         backward: vec![NEVER; train.len()],
     };
     let pieces = |n: usize| (0..n).step_by(chunk).map(move |a| a..(a + chunk).min(n));
-    for trains in pieces(train.len()) {
-        let train = Side::of(train, trains.clone(), gate);
-        let blocks: Vec<Block<D, G>> = d.run(
-            #[inline(always)]
-            || train.blocks(d, gate),
-        );
-        for queries in pieces(query.len()) {
-            let query = Side::of(query, queries.clone(), gate);
-            let all = d.run(
+    for &is_member in gate.groups() {
+        for trains in pieces(train.len()) {
+            let train = Side::of(train, trains.clone(), gate, is_member);
+            let blocks: Vec<Block<D, G>> = d.run(
                 #[inline(always)]
-                || query.queries(gate, Q),
+                || train.blocks(d, gate),
             );
-            let tasks: Vec<Task<D, G>> = all
-                .par_chunks(Q * TASK)
-                .map(|some| {
-                    d.run(
-                        #[inline(always)]
-                        || match gate.is_open() {
-                            true => task::<D, Q, G, false>(d, some, &blocks),
-                            false => task::<D, Q, G, true>(d, some, &blocks),
-                        },
-                    )
-                })
-                .collect();
-            let forward = tasks.iter().flat_map(|t| &t.forward);
-            for (&index, [first, second]) in query.order.iter().zip(forward) {
-                let mut keys = [NONE; 2];
-                for &key in first.as_slice().iter().chain(second.as_slice()) {
-                    keys = [keys[0].min(key), keys[1].min(keys[0].max(key))];
+            for queries in pieces(query.len()) {
+                let query = Side::of(query, queries.clone(), gate, is_member);
+                let all = d.run(
+                    #[inline(always)]
+                    || query.queries(gate, Q),
+                );
+                let tasks: Vec<Task<D, G>> = all
+                    .par_chunks(Q * TASK)
+                    .map(|some| {
+                        d.run(
+                            #[inline(always)]
+                            || match gate.is_unbounded() {
+                                true => task::<D, Q, G, false>(d, some, &blocks),
+                                false => task::<D, Q, G, true>(d, some, &blocks),
+                            },
+                        )
+                    })
+                    .collect();
+                let forward = tasks.iter().flat_map(|t| &t.forward);
+                for (&index, [first, second]) in query.order.iter().zip(forward) {
+                    let mut keys = [NONE; 2];
+                    for &key in first.as_slice().iter().chain(second.as_slice()) {
+                        keys = [keys[0].min(key), keys[1].min(keys[0].max(key))];
+                    }
+                    let norm_sq = query.descriptors[index].norm_sq();
+                    let (nearest, first_sq) = decode(keys[0], norm_sq);
+                    found.forward[queries.start + index].see(Nearest {
+                        index: nearest.saturating_add(trains.start),
+                        first_sq,
+                        second_sq: decode(keys[1], norm_sq).1,
+                    });
                 }
-                let norm_sq = query.descriptors[index].norm_sq();
-                let (nearest, first_sq) = decode(keys[0], norm_sq);
-                found.forward[queries.start + index].see(Nearest {
-                    index: nearest.saturating_add(trains.start),
-                    first_sq,
-                    second_sq: decode(keys[1], norm_sq).1,
-                });
-            }
-            let mut backward = vec![[Lanes::<D>::splat(d.simd(), NONE); G]; blocks.len()];
-            for task in &tasks {
-                for (all, new) in backward.iter_mut().zip(&task.backward) {
-                    for g in 0..G {
-                        all[g] = all[g].min(new[g]);
+                let mut backward = vec![[Lanes::<D>::splat(d.simd(), NONE); G]; blocks.len()];
+                for task in &tasks {
+                    for (all, new) in backward.iter_mut().zip(&task.backward) {
+                        for g in 0..G {
+                            all[g] = all[g].min(new[g]);
+                        }
                     }
                 }
-            }
-            let backward = backward.iter().flatten().flat_map(|v| v.as_slice());
-            for (&index, &key) in train.order.iter().zip(backward) {
-                let (nearest, distance_sq) = decode(key, train.descriptors[index].norm_sq());
-                let all = &mut found.backward[trains.start + index];
-                *all = (*all).min((distance_sq, nearest.saturating_add(queries.start)));
+                let backward = backward.iter().flatten().flat_map(|v| v.as_slice());
+                for (&index, &key) in train.order.iter().zip(backward) {
+                    let (nearest, distance_sq) = decode(key, train.descriptors[index].norm_sq());
+                    let all = &mut found.backward[trains.start + index];
+                    *all = (*all).min((distance_sq, nearest.saturating_add(queries.start)));
+                }
             }
         }
     }

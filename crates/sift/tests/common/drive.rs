@@ -196,6 +196,7 @@ fn keypoint(bytes: &mut Bytes<'_>) -> Keypoint {
         sigma: bytes.f32(0.5, 20.0),
         angle: bytes.f32(-7.0, 7.0),
         response: bytes.f32(0.0, 1.0),
+        bright: bytes.rarely(2),
         octave: bytes.below(4) as i32 - 1,
         layer: bytes.below(4) as u32,
     }
@@ -237,6 +238,7 @@ fn matches(bytes: &mut Bytes<'_>, query: &Features, train: &Features) {
     let gate = Gate {
         sigma_ratio: sigma_ratio.filter(|_| bytes.rarely(2)),
         turn_rad: turn_rad.filter(|_| bytes.rarely(2)),
+        same_polarity: bytes.rarely(2),
     };
     let mut first = None;
     for simd in Simd::available() {
