@@ -325,7 +325,7 @@ fn average_row(
             let fv = (v as u64 >> (FRACTION - 8)) & 0xff;
             let (upper, lower) = (tap(from), tap(from + stride));
             let w11 = (fu * fv) >> 8;
-            sum += lanes(upper) * (256 - fu - fv + w11)
+            sum += lanes(upper) * (256 + w11 - fu - fv)
                 + lanes(upper >> 24) * (fu - w11)
                 + lanes(lower) * (fv - w11)
                 + lanes(lower >> 24) * w11;
