@@ -41,7 +41,13 @@ fn engine() -> Outcome<String> {
             .arg("--")
             .args(crates)
             .current_dir(&root)
-            .output()?;
+            .output()
+            .map_err(|e| {
+                format!(
+                    "git cannot name the engine's commit in {}: {e}",
+                    root.display()
+                )
+            })?;
         Ok(String::from_utf8(output.stdout)?.trim().to_string())
     };
     let commit = git(&["log", "-1", "--format=%h"])?;
