@@ -7,7 +7,7 @@ use crate::threads::with_threads;
 use scopeservo_geometry::{Affine2, Mat2};
 use scopeservo_registration::{NotFound, Options, Prior};
 use scopeservo_servo::Engine;
-use scopeservo_sift::{GrayImage, Sift};
+use scopeservo_sift::{Features, GrayImage, Sift};
 use scopeservo_slide::Slide;
 use std::path::Path;
 use std::time::Instant;
@@ -44,11 +44,12 @@ fn look(args: &RegisterArgs) -> Result<bool, CliError> {
         ..Default::default()
     })?;
     let target = sift.detect_and_describe(&target);
+    let mut features = Features::default();
     let mut register = || {
-        let view = sift.detect_and_describe(&view);
+        sift.detect_and_describe_into(&view, &mut features);
         let (prior, options) = (Prior::default(), Options::default());
-        let answer = scopeservo_registration::register(&view, &target, &prior, &options);
-        (view.len(), answer)
+        let answer = scopeservo_registration::register(&features, &target, &prior, &options);
+        (features.len(), answer)
     };
     // Once for the answer, which also warms the caches; the repetitions give the same.
     let (view_features, answer) = register();

@@ -1,7 +1,7 @@
 //! Gaussian blur of rows: one pass down the columns, one along the row.
 //!
-//! Both passes work on [`BLOCK`] columns at a time with their sums in registers. Cost for a radius r, per pixel: `2 r + 1`
-//! multiply-adds down and `r + 1` multiply-adds and r additions along.
+//! Both passes keep their sums in registers and add the two pixels of each distance before they multiply. Cost for a radius r, per
+//! pixel and pass: `r + 1` multiply-adds and r additions.
 
 use fearless_simd::{Simd, f32x16, prelude::*};
 
@@ -29,8 +29,6 @@ fn radius(sigma: f64) -> usize {
 /// A Gaussian blur.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Kernel {
-    /// Weights of the rows `-radius..=radius + 1` for the row itself and for the one after it.
-    pub(crate) rows: Vec<[f32; 2]>,
     /// Weights at the distances `0..=radius`.
     half: Vec<f32>,
 }
@@ -39,9 +37,6 @@ impl Kernel {
     pub(crate) fn gaussian(sigma: f64) -> Self {
         let (weight, r) = (gaussian(sigma), radius(sigma) as isize);
         Self {
-            rows: (-r..=r + 1)
-                .map(|i| [weight(i) as f32, weight(i - 1) as f32])
-                .collect(),
             half: (0..=r).map(|i| weight(i) as f32).collect(),
         }
     }
@@ -58,10 +53,8 @@ impl Kernel {
 /// distance, and on whether the doubled pixel is even or odd: half as many columns and rows to add up, and no doubled image.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Doubling {
-    /// Weights of the image rows `-radius..=radius` around j for the doubled rows 2 j and 2 j + 1.
-    pub(crate) rows: Vec<[f32; 2]>,
-    /// Weights of the image columns j + i, i in `0..=radius`: for column 2 j (the same at j - i), and for column 2 j + 1 (the same
-    /// at j + 1 - i; nothing for i = 0).
+    /// Weights of the image pixels j + i, i in `0..=radius`: for the doubled pixel 2 j (the same at j - i), and for the doubled pixel
+    /// 2 j + 1 (the same at j + 1 - i; nothing for i = 0).
     half: Vec<[f32; 2]>,
 }
 
@@ -74,10 +67,10 @@ impl Doubling {
             weight(d) + 0.5 * (weight(d - 1) + weight(d + 1))
         };
         let r = (radius(sigma) as isize + 2) / 2;
-        let both = |i: isize| [reach(i, 0) as f32, reach(i, 1) as f32];
         Self {
-            rows: (-r..=r).map(both).collect(),
-            half: (0..=r).map(both).collect(),
+            half: (0..=r)
+                .map(|i| [reach(i, 0) as f32, reach(i, 1) as f32])
+                .collect(),
         }
     }
 
@@ -119,62 +112,181 @@ unsafe fn load<S: Simd>(s: S, data: &[f32], at: usize) -> f32x16<S> {
     f32x16::load_array_ref(s, values)
 }
 
-/// Two rows of sums down the columns, `width` columns rounded up to whole blocks: `first` with the first weight of each row,
-/// `second` with the second.
+/// A kernel as a function of its own: inlined into the sweep, with all the others, it runs out of registers.
+#[inline(never)]
+fn apart<S: Simd>(s: S, kernel: impl FnOnce()) {
+    s.vectorize(kernel);
+}
+
+/// Calls `$by::<S, R>` with the kernel's radius R when that is one of the given, which are those of the default options and so known to
+/// the compiler; `$any` with any other.
+macro_rules! by_radius {
+    ($s:ident, $kernel:ident, [$($r:literal)*], $by:ident, $any:path, $arguments:tt) => {
+        match $kernel.radius() {
+            $($r => apart($s, #[inline(always)] || $by::<S, $r> $arguments),)*
+            _ => apart($s, #[inline(always)] || $any $arguments),
+        }
+    };
+}
+
+/// Two rows blurred down the columns, `width` columns rounded up to whole blocks.
 ///
-/// `starts[i]` is where in `data` the row for `weights[i]` begins. Each row that is loaded serves both sums.
+/// `starts` says where in `data` the rows `-radius..=radius + 1` around the first begin. Each row that is loaded serves both.
 #[inline(always)]
-#[expect(unsafe_code, reason = "see `load`")]
 pub(crate) fn down<S: Simd>(
     s: S,
-    weights: &[[f32; 2]],
+    kernel: &Kernel,
     data: &[f32],
     starts: &[usize],
     width: usize,
-    first: &mut [f32],
-    second: &mut [f32],
+    out: [&mut [f32]; 2],
 ) {
+    by_radius!(s, kernel, [5 6 7 9], down_by, down_by::<S, 0>, (s, kernel, data, starts, width, out));
+}
+
+/// With the radius `R`, or with any radius when that is 0.
+#[inline(always)]
+#[expect(unsafe_code, reason = "see `load`")]
+fn down_by<S: Simd, const R: usize>(
+    s: S,
+    kernel: &Kernel,
+    data: &[f32],
+    starts: &[usize],
+    width: usize,
+    [first, second]: [&mut [f32]; 2],
+) {
+    let r = if R > 0 { R } else { kernel.radius() };
+    let (half, starts) = (&kernel.half[..=r], &starts[..2 * r + 2]);
     let width = width.next_multiple_of(BLOCK);
     assert!(starts.iter().all(|start| start + width <= data.len()));
-    let (first, second) = (&mut first[..width], &mut second[..width]);
-    for (block, (first, second)) in first
-        .chunks_exact_mut(BLOCK)
-        .zip(second.chunks_exact_mut(BLOCK))
+    for (block, (first, second)) in (first[..width].chunks_exact_mut(16))
+        .zip(second[..width].chunks_exact_mut(16))
+        .enumerate()
+    {
+        let x = 16 * block;
+        // SAFETY: each start is at least `width` before the end, and `x + 16` at most `width`.
+        let (mut above, mut below) = unsafe {
+            (
+                load(s, data, starts[r] + x),
+                load(s, data, starts[r + 1] + x),
+            )
+        };
+        let weight = f32x16::splat(s, half[0]);
+        let (mut a, mut b) = (above * weight, below * weight);
+        for i in 1..=r {
+            let weight = f32x16::splat(s, half[i]);
+            // SAFETY: as above.
+            let (higher, lower) = unsafe {
+                (
+                    load(s, data, starts[r - i] + x),
+                    load(s, data, starts[r + 1 + i] + x),
+                )
+            };
+            a = (higher + below).mul_add(weight, a);
+            b = (above + lower).mul_add(weight, b);
+            (above, below) = (higher, lower);
+        }
+        a.store_slice(first);
+        b.store_slice(second);
+    }
+}
+
+/// Two rows doubled and blurred down the columns, `width` columns rounded up to whole blocks.
+///
+/// `starts` says where in `data` the rows `-radius..=radius` around the one begin that becomes two.
+#[inline(always)]
+pub(crate) fn down_doubled<S: Simd>(
+    s: S,
+    kernel: &Doubling,
+    data: &[f32],
+    starts: &[usize],
+    width: usize,
+    out: [&mut [f32]; 2],
+) {
+    by_radius!(s, kernel, [3 4 5 6 8], down_doubled_by, down_doubled_by::<S, 0>, (s, kernel, data, starts, width, out));
+}
+
+/// With the radius `R`, or with any radius when that is 0.
+#[inline(always)]
+#[expect(unsafe_code, reason = "see `load`")]
+fn down_doubled_by<S: Simd, const R: usize>(
+    s: S,
+    kernel: &Doubling,
+    data: &[f32],
+    starts: &[usize],
+    width: usize,
+    [even, odd]: [&mut [f32]; 2],
+) {
+    let r = if R > 0 { R } else { kernel.radius() };
+    let (half, starts) = (&kernel.half[..=r], &starts[..=2 * r]);
+    let width = width.next_multiple_of(BLOCK);
+    assert!(starts.iter().all(|start| start + width <= data.len()));
+    for (block, (even, odd)) in (even[..width].chunks_exact_mut(BLOCK))
+        .zip(odd[..width].chunks_exact_mut(BLOCK))
         .enumerate()
     {
         let x = block * BLOCK;
         let mut a = [f32x16::splat(s, 0.0); 2];
         let mut b = a;
-        for (&[wa, wb], start) in weights.iter().zip(starts) {
-            let (wa, wb) = (f32x16::splat(s, wa), f32x16::splat(s, wb));
+        let mut above = a;
+        for k in 0..2 {
+            // SAFETY: each start is at least `width` before the end, and `x + BLOCK` at most `width`.
+            above[k] = unsafe { load(s, data, starts[r] + x + 16 * k) };
+            a[k] = above[k] * half[0][0];
+        }
+        for i in 1..=r {
+            let [weight_even, weight_odd] = half[i];
             for k in 0..2 {
-                // SAFETY: each start is at least `width` before the end, and `x + BLOCK` at most `width`.
-                let v = unsafe { load(s, data, start + x + 16 * k) };
-                a[k] = v.mul_add(wa, a[k]);
-                b[k] = v.mul_add(wb, b[k]);
+                // SAFETY: as above.
+                let below = unsafe { load(s, data, starts[r + i] + x + 16 * k) };
+                b[k] = (above[k] + below).mul_add(f32x16::splat(s, weight_odd), b[k]);
+                above[k] = unsafe { load(s, data, starts[r - i] + x + 16 * k) };
+                a[k] = (above[k] + below).mul_add(f32x16::splat(s, weight_even), a[k]);
             }
         }
         for k in 0..2 {
-            a[k].store_slice(&mut first[16 * k..16 * k + 16]);
-            b[k].store_slice(&mut second[16 * k..16 * k + 16]);
+            a[k].store_slice(&mut even[16 * k..16 * k + 16]);
+            b[k].store_slice(&mut odd[16 * k..16 * k + 16]);
         }
     }
 }
 
-/// A row blurred along itself: `out[x]` from `padded[x..=x + 2 radius]`, `width` columns rounded up to whole blocks.
-#[inline(always)]
-pub(crate) fn along<S: Simd>(s: S, kernel: &Kernel, padded: &[f32], width: usize, out: &mut [f32]) {
-    // The radii of the default options are known to the compiler.
-    match kernel.radius() {
-        5 => along_by::<S, 5>(s, kernel, padded, width, out),
-        6 => along_by::<S, 6>(s, kernel, padded, width, out),
-        7 => along_by::<S, 7>(s, kernel, padded, width, out),
-        9 => along_by::<S, 9>(s, kernel, padded, width, out),
-        _ => along_by::<S, 0>(s, kernel, padded, width, out),
-    }
+/// Columns of a row, blurred down, that stand before the first that is blurred along: those of the widest kernel or more, in whole
+/// lines of the cache.
+pub(crate) fn lead(radius: usize) -> usize {
+    radius.next_multiple_of(16)
 }
 
-/// With the radius `R`, or with any radius when that is 0.
+/// Calls `$tap!(i)` for the distances 1 to `$r`, which is known to the compiler and at most 9.
+macro_rules! taps {
+    ($r:ident, $tap:ident) => { taps!($r, $tap, 1 2 3 4 5 6 7 8 9) };
+    ($r:ident, $tap:ident, $($i:literal)*) => { $(if $r >= $i { $tap!($i); })* };
+}
+
+/// The values `$i` after those in `$here`, of which `$next` are the following ones.
+///
+/// A load that lies on two cache lines takes as long as three. Where a vector is as long as a line, that is every one, and the
+/// values are put together from two that are here; shorter vectors are loaded.
+macro_rules! after {
+    ($s:ident, $row:ident, $at:expr, $i:literal, $here:ident, $next:ident) => {
+        if <S::f32s as SimdBase<S>>::LEN >= 16 {
+            $here.slide::<$i>($next)
+        } else {
+            // SAFETY: that of the caller.
+            unsafe { load($s, $row, $at + $i) }
+        }
+    };
+}
+
+/// A row blurred along itself: `out[x]` from the columns `x - radius..=x + radius`, `width` columns rounded up to whole blocks.
+///
+/// Column x stands at `padded[lead(radius) + x]`.
+#[inline(always)]
+pub(crate) fn along<S: Simd>(s: S, kernel: &Kernel, padded: &[f32], width: usize, out: &mut [f32]) {
+    by_radius!(s, kernel, [5 6 7 9], along_by, along_any, (s, kernel, padded, width, out));
+}
+
+/// With the radius `R`.
 #[inline(always)]
 #[expect(unsafe_code, reason = "see `load`")]
 fn along_by<S: Simd, const R: usize>(
@@ -184,39 +296,52 @@ fn along_by<S: Simd, const R: usize>(
     width: usize,
     out: &mut [f32],
 ) {
-    let r = if R > 0 { R } else { kernel.radius() };
-    let (half, width) = (&kernel.half[..=r], width.next_multiple_of(BLOCK));
-    assert!(padded.len() >= width + 2 * r);
-    for (block, out) in out[..width].chunks_exact_mut(BLOCK).enumerate() {
-        let centre = block * BLOCK + r;
-        let mut sum = [f32x16::splat(s, 0.0); 2];
-        let weight = f32x16::splat(s, half[0]);
-        for k in 0..2 {
-            // SAFETY: `centre + BLOCK` is at most `width + r`.
-            let v = unsafe { load(s, padded, centre + 16 * k) };
-            sum[k] = v * weight;
+    let (half, width) = (&kernel.half[..=R], width.next_multiple_of(BLOCK));
+    assert!(padded.len() >= lead(R) + width + 16);
+    // SAFETY: the row has more than two lines.
+    let mut here = unsafe { load(s, padded, lead(R)) };
+    for (block, out) in out[..width].chunks_exact_mut(16).enumerate() {
+        let at = lead(R) + 16 * block;
+        // SAFETY: `at + 32` is at most `lead + width + 16`, and R at most 16 and the lead.
+        let next = unsafe { load(s, padded, at + 16) };
+        let mut sum = here * half[0];
+        macro_rules! tap {
+            ($i:literal) => {
+                // SAFETY: as above.
+                let before = unsafe { load(s, padded, at - $i) };
+                let after = here.slide::<$i>(next);
+                sum = (before + after).mul_add(f32x16::splat(s, half[$i]), sum);
+            };
         }
-        for i in 1..=r {
-            let weight = f32x16::splat(s, half[i]);
-            for k in 0..2 {
-                // SAFETY: i is at most r, so this lies within `width + 2 r` values.
-                let (left, right) = unsafe {
-                    (
-                        load(s, padded, centre - i + 16 * k),
-                        load(s, padded, centre + i + 16 * k),
-                    )
-                };
-                sum[k] = (left + right).mul_add(weight, sum[k]);
-            }
-        }
-        for k in 0..2 {
-            sum[k].store_slice(&mut out[16 * k..16 * k + 16]);
-        }
+        taps!(R, tap);
+        sum.store_slice(out);
+        here = next;
     }
 }
 
-/// A row doubled and blurred along itself: `out[2 x]` and `out[2 x + 1]` from `padded[x..=x + 2 radius]`, `width` columns of
-/// `out` rounded up to whole blocks.
+/// With any radius.
+#[inline(always)]
+#[expect(unsafe_code, reason = "see `load`")]
+fn along_any<S: Simd>(s: S, kernel: &Kernel, padded: &[f32], width: usize, out: &mut [f32]) {
+    let (r, width) = (kernel.radius(), width.next_multiple_of(BLOCK));
+    assert!(padded.len() >= lead(r) + width + r);
+    for (block, out) in out[..width].chunks_exact_mut(16).enumerate() {
+        let at = lead(r) + 16 * block;
+        // SAFETY: `at + 16` is at most `lead + width`, and what is taken from it or added at most r.
+        let mut sum = unsafe { load(s, padded, at) } * kernel.half[0];
+        for i in 1..=r {
+            // SAFETY: as above.
+            let (before, after) = unsafe { (load(s, padded, at - i), load(s, padded, at + i)) };
+            sum = (before + after).mul_add(f32x16::splat(s, kernel.half[i]), sum);
+        }
+        sum.store_slice(out);
+    }
+}
+
+/// A row doubled and blurred along itself: `out[2 x]` and `out[2 x + 1]` from the columns `x - radius..=x + radius`, `width` columns
+/// of `out` rounded up to whole blocks.
+///
+/// Column x stands at `padded[lead(radius) + x]`.
 #[inline(always)]
 pub(crate) fn along_doubled<S: Simd>(
     s: S,
@@ -225,18 +350,10 @@ pub(crate) fn along_doubled<S: Simd>(
     width: usize,
     out: &mut [f32],
 ) {
-    // The radii of the default options are known to the compiler.
-    match kernel.radius() {
-        3 => along_doubled_by::<S, 3>(s, kernel, padded, width, out),
-        4 => along_doubled_by::<S, 4>(s, kernel, padded, width, out),
-        5 => along_doubled_by::<S, 5>(s, kernel, padded, width, out),
-        6 => along_doubled_by::<S, 6>(s, kernel, padded, width, out),
-        8 => along_doubled_by::<S, 8>(s, kernel, padded, width, out),
-        _ => along_doubled_by::<S, 0>(s, kernel, padded, width, out),
-    }
+    by_radius!(s, kernel, [3 4 5 6 8], along_doubled_by, along_doubled_any, (s, kernel, padded, width, out));
 }
 
-/// With the radius `R`, or with any radius when that is 0.
+/// With the radius `R`.
 #[inline(always)]
 #[expect(unsafe_code, reason = "see `load`")]
 fn along_doubled_by<S: Simd, const R: usize>(
@@ -246,23 +363,60 @@ fn along_doubled_by<S: Simd, const R: usize>(
     width: usize,
     out: &mut [f32],
 ) {
-    let r = if R > 0 { R } else { kernel.radius() };
-    let (half, width) = (&kernel.half[..=r], width.next_multiple_of(BLOCK));
-    assert!(padded.len() >= width / 2 + 2 * r);
+    let (half, width) = (&kernel.half[..=R], width.next_multiple_of(BLOCK));
+    assert!(padded.len() >= lead(R) + width / 2 + 16);
+    // SAFETY: the row has more than two lines.
+    let mut here = unsafe { load(s, padded, lead(R)) };
     for (block, out) in out[..width].chunks_exact_mut(BLOCK).enumerate() {
-        let centre = block * (BLOCK / 2) + r;
-        // SAFETY: `centre + 16` is at most `width / 2 + r`.
-        let mut right = unsafe { load(s, padded, centre) };
-        let mut even = right * half[0][0];
+        let at = lead(R) + 16 * block;
+        // SAFETY: `at + 32` is at most `lead + width / 2 + 16`, and R at most 16 and the lead.
+        let next = unsafe { load(s, padded, at + 16) };
+        let mut even = here * half[0][0];
         let mut odd = f32x16::splat(s, 0.0);
-        let mut left = right;
+        let mut before = here;
+        macro_rules! tap {
+            ($i:literal) => {
+                let [weight_even, weight_odd] = half[$i];
+                let after = after!(s, padded, at, $i, here, next);
+                odd = (before + after).mul_add(f32x16::splat(s, weight_odd), odd);
+                // SAFETY: as above.
+                before = unsafe { load(s, padded, at - $i) };
+                even = (before + after).mul_add(f32x16::splat(s, weight_even), even);
+            };
+        }
+        taps!(R, tap);
+        let (low, high) = even.interleave(odd);
+        low.store_slice(&mut out[..16]);
+        high.store_slice(&mut out[16..]);
+        here = next;
+    }
+}
+
+/// With any radius.
+#[inline(always)]
+#[expect(unsafe_code, reason = "see `load`")]
+fn along_doubled_any<S: Simd>(
+    s: S,
+    kernel: &Doubling,
+    padded: &[f32],
+    width: usize,
+    out: &mut [f32],
+) {
+    let (r, width) = (kernel.radius(), width.next_multiple_of(BLOCK));
+    assert!(padded.len() >= lead(r) + width / 2 + r);
+    for (block, out) in out[..width].chunks_exact_mut(BLOCK).enumerate() {
+        let at = lead(r) + 16 * block;
+        // SAFETY: `at + 16` is at most `lead + width / 2`, and what is taken from it or added at most r.
+        let mut before = unsafe { load(s, padded, at) };
+        let mut even = before * kernel.half[0][0];
+        let mut odd = f32x16::splat(s, 0.0);
         for i in 1..=r {
-            let [weight_even, weight_odd] = half[i];
-            // SAFETY: i is at most r, so these lie within `width / 2 + 2 r` values.
-            right = unsafe { load(s, padded, centre + i) };
-            odd = (left + right).mul_add(f32x16::splat(s, weight_odd), odd);
-            left = unsafe { load(s, padded, centre - i) };
-            even = (left + right).mul_add(f32x16::splat(s, weight_even), even);
+            let [weight_even, weight_odd] = kernel.half[i];
+            // SAFETY: as above.
+            let after = unsafe { load(s, padded, at + i) };
+            odd = (before + after).mul_add(f32x16::splat(s, weight_odd), odd);
+            before = unsafe { load(s, padded, at - i) };
+            even = (before + after).mul_add(f32x16::splat(s, weight_even), even);
         }
         let (low, high) = even.interleave(odd);
         low.store_slice(&mut out[..16]);
@@ -286,14 +440,14 @@ mod tests {
         for sigma in [0.2, 1.2, 3.1, 20.0] {
             let kernel = Kernel::gaussian(sigma);
             let doubling = Doubling::gaussian(sigma);
-            for rows in [&kernel.rows, &doubling.rows] {
-                for phase in 0..2 {
-                    let sum: f32 = rows.iter().map(|w| w[phase]).sum();
-                    assert!((sum - 1.0).abs() < 1e-6, "{sigma} {phase} {sum}");
-                }
+            let sums = [
+                2.0 * kernel.half.iter().sum::<f32>() - kernel.half[0],
+                2.0 * doubling.half.iter().map(|w| w[0]).sum::<f32>() - doubling.half[0][0],
+                2.0 * doubling.half[1..].iter().map(|w| w[1]).sum::<f32>(),
+            ];
+            for sum in sums {
+                assert!((sum - 1.0).abs() < 1e-6, "{sigma} {sum}");
             }
-            assert_eq!(kernel.rows.len(), 2 * kernel.radius() + 2);
-            assert_eq!(doubling.rows.len(), 2 * doubling.radius() + 1);
         }
     }
 }

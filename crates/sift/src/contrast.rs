@@ -31,22 +31,27 @@ impl Contrast {
     /// `None` for an image without any structure above rounding.
     pub(crate) fn of(image: &GrayImage, options: &Options) -> Option<Self> {
         let data = image.data();
-        let ((spread, (low, high)), noise) = rayon::join(
-            || (percentile_range(data), range(data)),
-            || noise_sigma(image),
-        );
+        let measured = || {
+            let ((spread, range), noise) = rayon::join(
+                || (percentile_range(data), range(data)),
+                || noise_sigma(image),
+            );
+            (range, Some((spread, noise)))
+        };
+        let ((low, high), adapted) = if options.adapt_contrast {
+            measured()
+        } else {
+            (range(data), None)
+        };
         let rounding = ROUNDING * high.abs().max(low.abs());
         if high - low <= rounding {
             return None;
         }
+        let (spread, noise) = match adapted {
+            Some((spread, noise)) => (spread.max((high - low) / FULL_RANGE_DIVISOR), noise),
+            None => (1.0, 0.0),
+        };
         let threshold = options.contrast_threshold / options.intervals as f32;
-        if !options.adapt_contrast {
-            return Some(Self {
-                base: threshold.max(rounding),
-                noise: 0.0,
-            });
-        }
-        let spread = spread.max((high - low) / FULL_RANGE_DIVISOR);
         Some(Self {
             base: (threshold * spread).max(rounding),
             noise,
@@ -88,16 +93,27 @@ fn range(data: &[f32]) -> (f32, f32) {
 
 /// 99th minus 1st percentile of a regular sample.
 fn percentile_range(data: &[f32]) -> f32 {
-    let mut sample: Vec<f32> = data
+    let mut sample: Vec<i32> = data
         .iter()
         .step_by(data.len().div_ceil(SAMPLES))
-        .copied()
+        .map(|v| ordered(*v))
         .collect();
     let last = sample.len() - 1;
     let rank = last / 100;
-    let low = *sample.select_nth_unstable_by(rank, f32::total_cmp).1;
-    let high = *sample.select_nth_unstable_by(last - rank, f32::total_cmp).1;
-    high - low
+    let low = *sample.select_nth_unstable(rank).1;
+    let high = *sample.select_nth_unstable(last - rank).1;
+    value(high) - value(low)
+}
+
+/// A number that is to others as the value is to theirs: integers are compared at once.
+fn ordered(value: f32) -> i32 {
+    let bits = value.to_bits() as i32;
+    bits ^ (bits >> 31 & i32::MAX)
+}
+
+/// The value of such a number.
+fn value(ordered: i32) -> f32 {
+    f32::from_bits((ordered ^ (ordered >> 31 & i32::MAX)) as u32)
 }
 
 /// Standard deviation of white noise: median absolute response of the mask `[1 -2 1] x [1 -2 1]`, which has gain 6 for noise and
@@ -108,7 +124,7 @@ fn noise_sigma(image: &GrayImage) -> f32 {
         return 0.0;
     }
     let count = (w - 2) * (h - 2);
-    let mut response: Vec<f32> = (0..count)
+    let mut response: Vec<i32> = (0..count)
         .step_by(count.div_ceil(SAMPLES))
         .map(|i| {
             let (x, y) = (i % (w - 2), i / (w - 2));
@@ -116,11 +132,11 @@ fn noise_sigma(image: &GrayImage) -> f32 {
                 let row = &image.data()[y * w + x..][..3];
                 row[0] - 2.0 * row[1] + row[2]
             };
-            (second(y) - 2.0 * second(y + 1) + second(y + 2)).abs()
+            ordered((second(y) - 2.0 * second(y + 1) + second(y + 2)).abs())
         })
         .collect();
     let middle = response.len() / 2;
-    *response.select_nth_unstable_by(middle, f32::total_cmp).1 / (6.0 * 0.6745)
+    value(*response.select_nth_unstable(middle).1) / (6.0 * 0.6745)
 }
 
 #[cfg(test)]
@@ -139,6 +155,13 @@ mod tests {
                 (state >> 40) as f32 / (1_u64 << 24) as f32 - 0.5
             })
             .sum()
+    }
+
+    #[test]
+    fn ordered_numbers_are_those_of_the_values() {
+        let values = [f32::MIN, -2.5, -1e-40, -0.0, 0.0, 1e-40, 0.3, f32::MAX];
+        assert!(values.map(ordered).is_sorted());
+        assert_eq!(values.map(|v| value(ordered(v))), values);
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! The walk through the stages.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use crate::blur::{Doubling, Kernel};
@@ -22,6 +24,13 @@ const SMOOTH: f64 = 2.3;
 /// Fewer rows than this are not worth a thread: its overlap with the neighbours would be most of the work.
 const LEAST_ROWS: usize = 64;
 
+/// Octaves with fewer rows than this do not keep the threads busy: others begin with what the finer octaves have shown.
+const FEW_ROWS: usize = 256;
+
+/// One in so many of the extrema that are wanted is begun with before the coarser octaves have been searched: the strongest of the finer
+/// ones, which those, with a sixteenth of the pixels, can hardly outrank. What is outranked all the same is dropped.
+const SURE: usize = 3;
+
 /// Extrema that a thread orients and describes in one go.
 const PORTION: usize = 16;
 
@@ -41,8 +50,8 @@ pub struct Sift {
 /// What is kept from image to image.
 #[derive(Debug, Default)]
 struct Workspace {
-    /// Gaussian layers `0..intervals` of each octave, the finest first: where keypoints are oriented and described. Layer 0
-    /// of the first octave is left out.
+    /// Gaussian layers `1..=intervals + 1` of each octave, the finest first: where keypoints are oriented and described. The last two
+    /// are layers 0 and 1 of the next octave, so that layer 1 itself is left out where it can be.
     octaves: Vec<Vec<Plane>>,
     /// The image reduced to each octave before the first.
     reduced: Vec<Plane>,
@@ -50,7 +59,17 @@ struct Workspace {
     bands: Vec<Band>,
     bar: Bar,
     found: Vec<Extremum>,
+    /// Extrema that are surely among the strongest, in order of strength, and what was made of them while others were looked for.
+    ahead: (Vec<Extremum>, Vec<Portion>),
     portions: Vec<Portion>,
+}
+
+/// What all steps know.
+#[derive(Debug, Clone, Copy)]
+struct Setting<'a> {
+    options: &'a Options,
+    simd: Simd,
+    weights: &'a Weights,
 }
 
 /// What a thread needs to make its rows of an octave.
@@ -65,6 +84,14 @@ struct Band {
 struct Portion {
     keypoints: Vec<(usize, Keypoint)>,
     descriptors: Vec<Descriptor>,
+}
+
+impl Portion {
+    /// Keeps its memory.
+    fn clear(&mut self) {
+        self.keypoints.clear();
+        self.descriptors.clear();
+    }
 }
 
 impl Sift {
@@ -105,10 +132,9 @@ impl Sift {
     /// Keypoints with their orientations, not described: what [`detect_and_describe`](Self::detect_and_describe) gives, without
     /// the descriptors.
     pub fn detect(&mut self, image: &GrayImage) -> Vec<Keypoint> {
-        rayon::scope(|_| {
-            self.extrema(image);
-            self.oriented(false).0
-        })
+        let mut features = Features::default();
+        self.features(image, false, &mut features);
+        features.keypoints
     }
 
     /// Detects, orients and describes the features of `image`: the `max_features` strongest, as strong as the extremum they
@@ -117,17 +143,39 @@ impl Sift {
     /// An image without structure, or too small for the first octave (fewer than 12 pixels on a side after doubling), gives no
     /// features.
     pub fn detect_and_describe(&mut self, image: &GrayImage) -> Features {
+        let mut features = Features::default();
+        self.detect_and_describe_into(image, &mut features);
+        features
+    }
+
+    /// The same in place of what is in `features`, in the memory that they have: for frame after frame of a camera, where fresh memory
+    /// of some hundred kilobytes costs as much as a hundred descriptors.
+    pub fn detect_and_describe_into(&mut self, image: &GrayImage, features: &mut Features) {
+        self.features(image, true, features);
+    }
+
+    /// The strongest keypoints, with their descriptors if wanted, into `features`.
+    fn features(&mut self, image: &GrayImage, described: bool, features: &mut Features) {
+        features.keypoints.clear();
+        features.descriptors.clear();
+        (features.width, features.height) = (image.width(), image.height());
+        let (setting, work) = self.parts();
         // All stages on the threads of the pool, with one way there and back.
-        let (keypoints, descriptors) = rayon::scope(|_| {
-            self.extrema(image);
-            self.oriented(true)
+        rayon::scope(|_| {
+            if let Some(contrast) = Contrast::of(image, setting.options) {
+                setting.extrema(work, image, &contrast, described);
+                setting.oriented(work, described, features);
+            }
         });
-        Features {
-            width: image.width(),
-            height: image.height(),
-            keypoints,
-            descriptors,
-        }
+    }
+
+    fn parts(&mut self) -> (Setting<'_>, &mut Workspace) {
+        let setting = Setting {
+            options: &self.options,
+            simd: self.simd,
+            weights: &self.weights,
+        };
+        (setting, &mut self.work)
     }
 
     /// Describes places that are known already: those of another frame, or some of an image's own. `descriptors[i]` belongs to
@@ -143,22 +191,23 @@ impl Sift {
         image: &GrayImage,
         keypoints: &[Keypoint],
     ) -> Result<Vec<Descriptor>, SiftError> {
+        let (setting, work) = self.parts();
         rayon::scope(|_| {
-            let octaves = self.scale_space(image, None);
-            let is_ours = |k: &Keypoint| self.is_ours(k, image, octaves);
+            let octaves = setting.planes(work, image);
+            let is_ours = |k: &Keypoint| setting.is_ours(k, image, octaves.len());
             if let Some(index) = keypoints.iter().position(|k| !is_ours(k)) {
                 return Err(SiftError::ForeignKeypoint { index });
             }
             let places: Vec<Extremum> = keypoints.iter().map(extremum).collect();
-            let walk = walk(&places);
+            let walk = walk(&places, 0..places.len());
             let described: Vec<Vec<Descriptor>> = (walk.par_chunks(PORTION))
                 .map_init(Patch::new, |patch, portion| {
                     let mut described = Vec::with_capacity(portion.len());
                     for &i in portion {
-                        let (plane, place) = self.place_of(&places[i]);
+                        let (plane, place) = setting.place_of(octaves, &places[i]);
                         let angle = keypoints[i].angle;
-                        described.push(at_level!(self.simd, s => {
-                            describe(s, &self.weights, patch, plane, place, angle)
+                        described.push(at_level!(setting.simd, s => {
+                            describe(s, setting.weights, patch, plane, place, angle)
                         }));
                     }
                     described
@@ -172,46 +221,56 @@ impl Sift {
         })
     }
 
+    /// Gaussian layers by octave.
+    #[cfg(test)]
+    pub(crate) fn planes(&self) -> &[Vec<Plane>] {
+        &self.work.octaves
+    }
+}
+
+impl Setting<'_> {
     /// Whether a keypoint may have been found in an image in which so many octaves are searched.
     fn is_ours(&self, k: &Keypoint, image: &GrayImage, octaves: usize) -> bool {
-        let inside = |v: f32, size: usize| (-0.5..=size as f32 - 0.5).contains(&v);
         let (first, layer) = (self.options.first_octave, k.layer as usize);
         let index = i64::from(k.octave) - i64::from(first);
         let sigma = (k.octave as f32).exp2() * self.options.sigma_at(k.layer as f32);
         (0..octaves as i64).contains(&index)
             && (first_layer(index as usize)..self.options.intervals).contains(&layer)
-            && inside(k.x, image.width())
-            && inside(k.y, image.height())
             && (0.5 * sigma..=2.0 * sigma).contains(&k.sigma)
-            && k.angle.is_finite()
+            && k.lies_in(image.width(), image.height())
     }
 
-    /// The first `max_features` keypoints of the extrema found, with their descriptors if wanted.
-    fn oriented(&mut self, described: bool) -> (Vec<Keypoint>, Vec<Descriptor>) {
-        let mut portions = std::mem::take(&mut self.work.portions);
+    /// The first `max_features` keypoints of the extrema found, with their descriptors if wanted, into `features`.
+    fn oriented(&self, work: &mut Workspace, described: bool, features: &mut Features) {
+        let Workspace {
+            octaves,
+            found,
+            ahead: (ahead, done),
+            portions,
+            ..
+        } = work;
         let wanted = self.options.max_features;
-        let mut rest = &self.work.found[..];
-        let (mut keypoints, mut descriptors) = (Vec::new(), Vec::new());
+        let Features {
+            keypoints,
+            descriptors,
+            ..
+        } = features;
+        // What is done already comes with the first extrema.
+        let mut is_done = vec![false; found.len()];
+        let mut begun = rank_again(ahead, done, found, &mut is_done);
+        let mut done = &done[..];
         // Keypoints that so many extrema have: at first a guess, then what was seen.
         let (mut made_of, mut made_are) = (3, 4);
-        while !rest.is_empty() && keypoints.len() < wanted {
+        let mut begin = 0;
+        while begin < found.len() && keypoints.len() < wanted {
             let missing = wanted - keypoints.len();
-            let count = (missing.saturating_mul(made_of) / made_are)
-                .max(2 * PORTION)
-                .min(rest.len());
-            let (now, later) = rest.split_at(count);
-            rest = later;
-            let walk = walk(now);
-            let parts = walk.chunks(PORTION);
-            if portions.len() < parts.len() {
-                portions.resize_with(parts.len(), Portion::default);
-            }
-            let made = &mut portions[..parts.len()];
-            made.par_iter_mut()
-                .zip(walk.par_chunks(PORTION))
-                .for_each(|(portion, ranks)| self.fill(portion, now, ranks, described));
-            let mut order = by_rank(made, count);
-            (made_of, made_are) = (made_of + count, made_are + order.len());
+            let count = (missing.saturating_mul(made_of) / made_are).max(2 * PORTION);
+            let end = begin.saturating_add(count).max(begun).min(found.len());
+            let ranks = (begin..end).filter(|&rank| !is_done[rank]);
+            self.fill_all(octaves, portions, found, ranks, described);
+            let made: Vec<&Portion> = done.iter().chain(portions.iter()).collect();
+            let mut order = by_rank(&made, begin..end);
+            (made_of, made_are) = (made_of + end - begin, made_are + order.len());
             order.truncate(missing);
             keypoints.reserve_exact(order.len());
             keypoints.extend(order.iter().map(|&(p, i)| made[p].keypoints[i].1));
@@ -219,122 +278,222 @@ impl Sift {
                 descriptors.reserve_exact(order.len());
                 descriptors.extend(order.iter().map(|&(p, i)| made[p].descriptors[i]));
             }
+            (begin, begun, done) = (end, 0, &[]);
         }
-        self.work.portions = portions;
-        (keypoints, descriptors)
+    }
+
+    /// Orients the extrema `found[ranks]`, and describes them if wanted, on all threads.
+    fn fill_all(
+        &self,
+        octaves: &[Vec<Plane>],
+        portions: &mut Vec<Portion>,
+        found: &[Extremum],
+        ranks: impl Iterator<Item = usize>,
+        described: bool,
+    ) {
+        let walk = walk(found, ranks);
+        let parts = walk.par_chunks(PORTION);
+        let count = portions.len().max(parts.len());
+        portions.resize_with(count, Portion::default);
+        portions.iter_mut().for_each(Portion::clear);
+        (portions.par_iter_mut().zip(parts))
+            .for_each(|(portion, ranks)| self.fill(octaves, portion, found, ranks, described));
     }
 
     /// Orients the extrema `found[ranks]`, and describes them if wanted.
-    fn fill(&self, portion: &mut Portion, found: &[Extremum], ranks: &[usize], described: bool) {
-        portion.keypoints.clear();
-        portion.descriptors.clear();
+    fn fill(
+        &self,
+        octaves: &[Vec<Plane>],
+        portion: &mut Portion,
+        found: &[Extremum],
+        ranks: &[usize],
+        described: bool,
+    ) {
         let mut patch = Patch::new();
         for &rank in ranks {
             let e = &found[rank];
-            let (plane, place) = self.place_of(e);
+            let (plane, place) = self.place_of(octaves, e);
             at_level!(self.simd, s => for &angle in orientations(s, plane, place).iter() {
                 portion.keypoints.push((rank, keypoint(e, angle)));
                 if described {
                     let descriptor =
-                        describe(s, &self.weights, &mut patch, plane, place, angle);
+                        describe(s, self.weights, &mut patch, plane, place, angle);
                     portion.descriptors.push(descriptor);
                 }
             });
         }
     }
 
-    /// Gaussian layers by octave.
-    #[cfg(test)]
-    pub(crate) fn planes(&self) -> &[Vec<Plane>] {
-        &self.work.octaves
-    }
-
-    /// The Gaussian layer in which an extremum is oriented and described, with its position and sigma there.
-    fn place_of(&self, e: &Extremum) -> (&Plane, [f32; 3]) {
+    /// The Gaussian layer in which an extremum is oriented and described, the one after its own, with its position and sigma there.
+    fn place_of<'a>(&self, octaves: &'a [Vec<Plane>], e: &Extremum) -> (&'a Plane, [f32; 3]) {
         let octave = (e.octave - self.options.first_octave) as usize;
-        let (plane, scale) = if e.layer + 1 < self.options.intervals {
-            let plane = &self.work.octaves[octave][e.layer + 1];
-            (plane, 1.0 / plane.pitch as f32)
-        } else {
-            (&self.work.octaves[octave + 1][0], 0.5)
+        let (plane, scale) = match e.layer {
+            // Layer 1, made in the octave before.
+            0 => (&octaves[octave - 1][self.options.intervals], 1.0),
+            layer => {
+                let plane = &octaves[octave][layer];
+                (plane, 1.0 / plane.pitch as f32)
+            }
         };
         (plane, [e.x, e.y, e.sigma].map(|v| scale * v))
     }
 
-    /// The strongest extrema in order of their strength, and the planes around them, into the workspace.
-    fn extrema(&mut self, image: &GrayImage) {
-        self.work.found.clear();
-        let Some(contrast) = Contrast::of(image, &self.options) else {
-            return;
+    /// Columns and rows of the octaves that are searched in an image.
+    fn sizes(&self, image: &GrayImage) -> Vec<(usize, usize)> {
+        let side = |n: usize, octave: i32| match octave {
+            0.. => n.div_ceil(1 << octave),
+            _ => 2 * n - 1,
         };
-        self.work.bar.begin(self.options.max_features, 0.0);
-        self.scale_space(image, Some(&contrast));
-        choose(&mut self.work.found, self.options.max_features);
+        (self.options.first_octave..)
+            .map(|octave| (side(image.width(), octave), side(image.height(), octave)))
+            .take_while(|&(w, h)| w.min(h) >= MIN_OCTAVE_SIZE)
+            .collect()
     }
 
-    /// The planes of all octaves into the workspace, and with `contrast` the extrema that are found on the way. Returns the number of
-    /// octaves.
-    fn scale_space(&mut self, image: &GrayImage, contrast: Option<&Contrast>) -> usize {
-        let Self {
-            options,
-            simd,
-            work,
+    /// The strongest extrema in order of their strength, and the planes around them, into the workspace. Some may have been oriented,
+    /// and described if wanted, on the way.
+    fn extrema(
+        &self,
+        work: &mut Workspace,
+        image: &GrayImage,
+        contrast: &Contrast,
+        described: bool,
+    ) {
+        let sizes = self.begin(work, image);
+        let Workspace {
+            octaves,
+            reduced,
+            bands,
+            bar,
+            found,
+            ahead: (ahead, done),
             ..
-        } = self;
-        if !reduce(*simd, options, image, &mut work.reduced, &mut work.bands) {
-            return 0;
+        } = work;
+        let most = self.options.max_features;
+        bar.begin(most, 0.0);
+        // The finer octaves keep all threads busy; the others leave some without work, who begin with what is there.
+        let fine = sizes.partition_point(|&(_, h)| h >= FEW_ROWS);
+        let (fine, coarse) = octaves[..sizes.len()].split_at_mut(fine);
+        let sources = (image, reduced.last());
+        self.scale_space(sources, &[], fine, bands, Some((contrast, bar, found)));
+        if rayon::current_num_threads() == 1 || fine.is_empty() || coarse.is_empty() {
+            self.scale_space(sources, fine, coarse, bands, Some((contrast, bar, found)));
+        } else {
+            let mut more = Vec::new();
+            rayon::join(
+                || {
+                    self.scale_space(
+                        sources,
+                        fine,
+                        coarse,
+                        bands,
+                        Some((contrast, bar, &mut more)),
+                    )
+                },
+                || {
+                    ahead.clone_from(found);
+                    choose(ahead, most / SURE);
+                    self.fill_all(fine, done, ahead, 0..ahead.len(), described);
+                },
+            );
+            found.append(&mut more);
         }
-        let mut octave = 0;
-        loop {
-            while work.octaves.len() < octave + 2 {
-                work.octaves.push(vec![Plane::default(); options.intervals]);
-            }
-            let [before @ .., here, next] = &mut work.octaves[..octave + 2] else {
-                unreachable!("two octaves at least");
-            };
-            let (layer_0, layers_after) = here.split_at_mut(1);
-            let (levels, base) = match (before.last(), work.reduced.last()) {
-                (Some(finer), _) => (further_levels(options, finer, &layer_0[0]), 1),
-                (None, Some(reduced)) => (blurred_levels(options, reduced), 0),
+        choose(found, most);
+    }
+
+    /// The planes of all octaves that are searched.
+    fn planes<'w>(&self, work: &'w mut Workspace, image: &GrayImage) -> &'w [Vec<Plane>] {
+        let count = self.begin(work, image).len();
+        let octaves = &mut work.octaves[..count];
+        let sources = (image, work.reduced.last());
+        self.scale_space(sources, &[], octaves, &mut work.bands, None);
+        octaves
+    }
+
+    /// Forgets the image before; the image reduced to the first octave, and room for all. Returns the sizes of the octaves.
+    fn begin(&self, work: &mut Workspace, image: &GrayImage) -> Vec<(usize, usize)> {
+        work.found.clear();
+        work.ahead.0.clear();
+        work.ahead.1.iter_mut().for_each(Portion::clear);
+        let sizes = self.sizes(image);
+        if !sizes.is_empty() {
+            self.reduce(image, &mut work.reduced, &mut work.bands);
+        }
+        let octaves = work.octaves.len().max(sizes.len());
+        (work.octaves).resize_with(octaves, || {
+            vec![Plane::default(); self.options.intervals + 1]
+        });
+        sizes
+    }
+
+    /// The planes of the octaves `octaves`, of which `finer` are those before, and with `search` the extrema that are found on the way.
+    fn scale_space(
+        &self,
+        (image, reduced): (&GrayImage, Option<&Plane>),
+        finer: &[Vec<Plane>],
+        octaves: &mut [Vec<Plane>],
+        bands: &mut Vec<Band>,
+        mut search: Option<(&Contrast, &mut Bar, &mut Vec<Extremum>)>,
+    ) {
+        let options = self.options;
+        for i in 0..octaves.len() {
+            let (before, here) = octaves.split_at_mut(i);
+            let (levels, base) = match (before.last().or(finer.last()), reduced) {
+                (Some(finer), _) => (further_levels(options, finer), 1),
+                (None, Some(reduced)) => {
+                    let layer_0 = std::slice::from_ref(reduced);
+                    (layers_from(options, layer_0).collect(), 0)
+                }
                 (None, None) => (first_levels(options, image), 1),
             };
-            // Layer 1 of the first octave is needed only when it is the last one, which the next octave begins with.
-            let first_kept = if octave == 0 {
-                2.min(options.intervals - 1)
-            } else {
-                1
-            };
+            let index = finer.len() + i;
+            // Layer 1 is needed only when it is the one that the next octave begins with.
+            let first_kept = 2.min(options.intervals - 1);
             let chain = Chain::new(
                 levels,
-                (first_kept..=options.intervals)
+                (first_kept..=options.intervals + 1)
                     .map(|layer| Kept {
                         level: base + layer,
-                        halved: layer == options.intervals || sigma_at(options, layer) >= SMOOTH,
+                        halved: layer >= options.intervals || sigma_at(options, layer) >= SMOOTH,
                     })
                     .collect(),
             );
-            if !is_big_enough(chain.size) {
-                return octave;
-            }
-            let index = options.first_octave + octave as i32;
-            let scan = contrast.map(|contrast| Scan {
+            let octave = options.first_octave + index as i32;
+            let scan = search.as_mut().map(|(contrast, bar, _)| Scan {
                 options,
                 thresholds: (0..options.intervals)
-                    .map(|layer| contrast.threshold(options, index, layer))
+                    .map(|layer| contrast.threshold(options, octave, layer))
                     .collect(),
-                octave: index,
+                octave,
                 base,
-                layers: first_layer(octave)..options.intervals,
-                weakest: work.bar.raise(),
+                layers: first_layer(index)..options.intervals,
+                weakest: bar.raise(),
             });
-            let planes = (layers_after[first_kept - 1..].iter_mut())
-                .chain([&mut next[0]])
-                .collect();
-            let bands = run(*simd, &chain, planes, &mut work.bands, scan.as_ref());
-            if scan.is_some() {
-                gather(bands, &mut work.found, &mut work.bar);
+            let planes = here[0][first_kept - 1..].iter_mut().collect();
+            let bands = run(self.simd, &chain, planes, bands, scan.as_ref());
+            if let Some((_, bar, found)) = &mut search {
+                gather(bands, found, bar);
             }
-            octave += 1;
+        }
+    }
+
+    /// The image reduced to each octave before the first one, which are only passed through.
+    fn reduce(&self, image: &GrayImage, reduced: &mut Vec<Plane>, bands: &mut Vec<Band>) {
+        let options = self.options;
+        reduced.resize_with(options.first_octave.max(0) as usize, Plane::default);
+        let sigma = f64::from(options.sigma);
+        let mut blur = f64::from(options.assumed_blur);
+        for octave in 0..reduced.len() {
+            let (before, from) = reduced.split_at_mut(octave);
+            let source = before.last().map_or(Source::Image(image), Source::Whole);
+            let kernel = Kernel::gaussian(between(blur, 2.0 * sigma));
+            let kept = Kept {
+                level: 1,
+                halved: true,
+            };
+            let chain = Chain::new(vec![Make::Taken(source), Make::Blurred(kernel)], vec![kept]);
+            run(self.simd, &chain, vec![&mut from[0]], bands, None);
+            blur = sigma;
         }
     }
 }
@@ -354,52 +513,14 @@ fn first_layer(octave: usize) -> usize {
     usize::from(octave == 0)
 }
 
-/// Whether an octave is searched.
-fn is_big_enough((w, h): (usize, usize)) -> bool {
-    w.min(h) >= MIN_OCTAVE_SIZE
-}
-
-/// The image reduced to each octave before the first one, which are only passed through; `false` when it is too small.
-fn reduce(
-    simd: Simd,
-    options: &Options,
-    image: &GrayImage,
-    reduced: &mut Vec<Plane>,
-    bands: &mut Vec<Band>,
-) -> bool {
-    reduced.resize_with(options.first_octave.max(0) as usize, Plane::default);
-    let sigma = f64::from(options.sigma);
-    let mut blur = f64::from(options.assumed_blur);
-    for octave in 0..reduced.len() {
-        let (before, from) = reduced.split_at_mut(octave);
-        let source = before.last().map_or(Source::Image(image), Source::Whole);
-        let kernel = Kernel::gaussian(between(blur, 2.0 * sigma));
-        let kept = Kept {
-            level: 1,
-            halved: true,
-        };
-        let chain = Chain::new(vec![Make::Taken(source), Make::Blurred(kernel)], vec![kept]);
-        if !is_big_enough(chain.size) {
-            return false;
-        }
-        run(simd, &chain, vec![&mut from[0]], bands, None);
-        blur = sigma;
-    }
-    true
-}
-
-/// Gaussian layers 1 to `intervals + 1`, each from the one before.
-fn steps<'a>(options: &Options) -> impl Iterator<Item = Make<'a>> {
-    (1..options.intervals + 2).map(|s| {
+/// The Gaussian layers of an octave of which the first are planes, each of the others from the one before.
+fn layers_from<'a>(options: &Options, first: &'a [Plane]) -> impl Iterator<Item = Make<'a>> {
+    let taken = first.iter().map(|plane| Make::Taken(Source::Whole(plane)));
+    let blurred = (first.len().max(1)..options.intervals + 2).map(|s| {
         let sigma = between(sigma_at(options, s - 1), sigma_at(options, s));
         Make::Blurred(Kernel::gaussian(sigma))
-    })
-}
-
-/// The levels of an octave whose layer 0 is a plane: that and the layers after it.
-fn blurred_levels<'a>(options: &Options, layer_0: &'a Plane) -> Vec<Make<'a>> {
-    let taken = Make::Taken(Source::Whole(layer_0));
-    std::iter::once(taken).chain(steps(options)).collect()
+    });
+    taken.chain(blurred)
 }
 
 /// The levels of the first octave, made from the image: that, then the layers.
@@ -416,19 +537,21 @@ fn first_levels<'a>(options: &Options, image: &'a GrayImage) -> Vec<Make<'a>> {
     } else {
         let sigma = between(blur, sigma_at(options, 0));
         levels.push(Make::Blurred(Kernel::gaussian(sigma)));
-        levels.extend(steps(options));
+        levels.extend(layers_from(options, &[]));
     }
     levels
 }
 
-/// The levels of an octave after the first: the last layer of the finer octave, then its own layers.
-fn further_levels<'a>(options: &Options, finer: &'a [Plane], layer_0: &'a Plane) -> Vec<Make<'a>> {
-    let last = &finer[options.intervals - 1];
-    let mut levels = vec![Make::Taken(match last.pitch {
-        1 => Source::Halved(last),
-        _ => Source::Whole(last),
+/// The levels of an octave after the first: the layer of the finer octave before those that both have, then its own.
+fn further_levels<'a>(options: &Options, finer: &'a [Plane]) -> Vec<Make<'a>> {
+    let [.., before, _, _] = finer else {
+        unreachable!("an octave has two intervals at least");
+    };
+    let mut levels = vec![Make::Taken(match before.pitch {
+        1 => Source::Halved(before),
+        _ => Source::Whole(before),
     })];
-    levels.extend(blurred_levels(options, layer_0));
+    levels.extend(layers_from(options, &finer[finer.len() - 2..]));
     levels
 }
 
@@ -464,33 +587,69 @@ fn choose(found: &mut Vec<Extremum>, most: usize) {
     found.dedup_by_key(|e| (e.octave, e.layer, e.sample));
     found.truncate(most);
 }
-/// Where the keypoints of `count` extrema are, portion and place in it, back in order of strength.
-fn by_rank(made: &[Portion], count: usize) -> Vec<(usize, usize)> {
-    // How many keypoints come before those of each extremum.
-    let mut before = vec![0; count + 1];
-    for (rank, _) in made.iter().flat_map(|portion| &portion.keypoints) {
-        before[rank + 1] += 1;
-    }
-    for rank in 0..count {
-        before[rank + 1] += before[rank];
-    }
-    let mut order = vec![(0, 0); before[count]];
-    for (p, portion) in made.iter().enumerate() {
-        for (i, (rank, _)) in portion.keypoints.iter().enumerate() {
-            order[before[*rank]] = (p, i);
-            before[*rank] += 1;
+
+/// Numbers what was made `ahead` as `found` does, in which extrema may have come in between; what is no longer there is dropped.
+/// Returns after which rank nothing is done.
+fn rank_again(
+    ahead: &[Extremum],
+    done: &mut [Portion],
+    found: &[Extremum],
+    is_done: &mut [bool],
+) -> usize {
+    let mut next = 0;
+    let ranks: Vec<Option<usize>> = (ahead.iter())
+        .map(|e| {
+            next += found[next..]
+                .iter()
+                .take_while(|f| f.rank(e).is_lt())
+                .count();
+            (found.get(next) == Some(e)).then_some(next)
+        })
+        .collect();
+    for portion in done {
+        for (rank, _) in &mut portion.keypoints {
+            *rank = ranks[*rank].unwrap_or(usize::MAX);
         }
+    }
+    for rank in ranks.iter().flatten() {
+        is_done[*rank] = true;
+    }
+    ranks.iter().flatten().last().map_or(0, |last| last + 1)
+}
+
+/// Where the keypoints of the extrema `ranks` are, portion and place in it, in order of strength.
+fn by_rank(made: &[&Portion], ranks: Range<usize>) -> Vec<(usize, usize)> {
+    let places = || {
+        made.iter().enumerate().flat_map(|(p, portion)| {
+            let places = portion.keypoints.iter().enumerate();
+            places.map(move |(i, (rank, _))| (*rank, (p, i)))
+        })
+    };
+    // How many keypoints come before those of each extremum.
+    let mut before = vec![0; ranks.len() + 1];
+    for (rank, _) in places().filter(|(rank, _)| ranks.contains(rank)) {
+        before[rank - ranks.start + 1] += 1;
+    }
+    for i in 0..ranks.len() {
+        before[i + 1] += before[i];
+    }
+    let mut order = vec![(0, 0); before[ranks.len()]];
+    for (rank, place) in places().filter(|(rank, _)| ranks.contains(rank)) {
+        let next = &mut before[rank - ranks.start];
+        order[*next] = place;
+        *next += 1;
     }
     order
 }
 
 /// Neighbours in the image one after the other, which is kinder to the caches than order of strength.
-fn walk(found: &[Extremum]) -> Vec<usize> {
-    let place = |e: &Extremum| {
+fn walk(found: &[Extremum], ranks: impl Iterator<Item = usize>) -> Vec<usize> {
+    let place = |rank: usize| {
+        let e = &found[rank];
         let layer = (e.octave + 1) as usize * 16 + e.layer;
-        packed([layer, e.y as usize / 32, e.x as usize])
+        (packed([layer, e.y as usize / 32, e.x as usize]), rank)
     };
-    let mut walk: Vec<(u64, usize)> = found.iter().map(place).zip(0..).collect();
+    let mut walk: Vec<(u64, usize)> = ranks.map(place).collect();
     walk.sort_unstable();
     walk.into_iter().map(|(_, rank)| rank).collect()
 }

@@ -25,10 +25,24 @@ pub struct Keypoint {
     pub layer: u32,
 }
 
+impl Keypoint {
+    /// Whether it has a place in an image of this size, a size and a direction.
+    pub(crate) fn lies_in(&self, width: usize, height: usize) -> bool {
+        let inside = |v: f32, size: usize| (-0.5..=size as f32 - 0.5).contains(&v);
+        inside(self.x, width)
+            && inside(self.y, height)
+            && self.sigma.is_finite()
+            && self.sigma > 0.0
+            && self.angle.is_finite()
+    }
+}
+
 /// All features of one image: a value of its own, which can be stored and compared later without the image.
 ///
 /// `descriptors[i]` belongs to `keypoints[i]`. The strongest come first; several orientations of one extremum follow each other.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+///
+/// The default has none, of no image.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Features {
     /// Columns of the image.
     pub width: usize,
@@ -85,15 +99,7 @@ impl Features {
                 descriptors: self.descriptors.len(),
             });
         }
-        let inside = |v: f32, size: usize| (-0.5..=size as f32 - 0.5).contains(&v);
-        let good = |k: &Keypoint| {
-            inside(k.x, self.width)
-                && inside(k.y, self.height)
-                && k.sigma.is_finite()
-                && k.sigma > 0.0
-                && k.angle.is_finite()
-                && k.response.is_finite()
-        };
+        let good = |k: &Keypoint| k.lies_in(self.width, self.height) && k.response.is_finite();
         match self.keypoints.iter().position(|k| !good(k)) {
             Some(index) => Err(SiftError::BadKeypoint { index }),
             None => Ok(()),

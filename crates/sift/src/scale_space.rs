@@ -15,7 +15,9 @@ use fearless_simd::{Simd, f32x8, prelude::*};
 
 use crate::GrayImage;
 use crate::aligned::Aligned;
-use crate::blur::{BLOCK, Doubling, Kernel, along, along_doubled, down, mirrored};
+use crate::blur::{
+    BLOCK, Doubling, Kernel, along, along_doubled, down, down_doubled, lead, mirrored,
+};
 
 /// Columns of a tile, without its overlap.
 const TILE_WIDTH: usize = 1400;
@@ -151,31 +153,21 @@ impl Ring {
         y % self.kept * self.stride
     }
 
-    /// Where the rows `begin..begin + count` of a level with `height` rows are from column `column` on, mirrored at its ends.
+    /// Where the rows `rows` of a level with `height` rows are from column `column` on, mirrored at its ends.
     /// Rows of the level that come after the last computed one are not needed: the last one stands for them.
-    fn starts(
-        &self,
-        begin: isize,
-        count: usize,
-        height: usize,
-        column: usize,
-        out: &mut Vec<usize>,
-    ) {
+    fn starts(&self, rows: Range<isize>, height: usize, column: usize, out: &mut Vec<usize>) {
         out.clear();
         let offset = column - self.origin;
-        let end = begin + count as isize;
-        if begin >= 0 && end as usize <= self.next {
-            let mut slot = begin as usize % self.kept;
-            debug_assert!(begin as usize + self.kept >= self.next);
-            for _ in 0..count {
-                out.push(slot * self.stride + offset);
-                slot += 1;
-                if slot == self.kept {
-                    slot = 0;
-                }
-            }
+        if rows.start >= 0 && rows.end as usize <= self.next {
+            let (begin, count) = (rows.start as usize, rows.len());
+            debug_assert!(begin + self.kept >= self.next);
+            // Up to the end of the memory, and on from its begin.
+            let slot = begin % self.kept;
+            let wrapped = (slot + count).saturating_sub(self.kept);
+            out.extend((slot..slot + count - wrapped).map(|slot| slot * self.stride + offset));
+            out.extend((0..wrapped).map(|slot| slot * self.stride + offset));
         } else {
-            out.extend((begin..end).map(|y| {
+            out.extend(rows.map(|y| {
                 let y = mirrored(y, height).min(self.next - 1);
                 self.start(y) + offset
             }));
@@ -421,37 +413,36 @@ impl Chain<'_> {
             }
             return true;
         };
-        let (weights, r, scale) = match &self.levels[level] {
+        let (r, scale) = match &self.levels[level] {
             Make::Taken(_) => return true,
-            Make::Blurred(kernel) => (&kernel.rows, kernel.radius(), 1),
-            Make::Doubled(kernel) => (&kernel.rows, kernel.radius(), 2),
+            Make::Blurred(kernel) => (kernel.radius(), 1),
+            Make::Doubled(kernel) => (kernel.radius(), 2),
         };
         let rows = self.rows_below(level, y);
         let last = rows.end - if scale == 1 && count == 1 { 1 } else { 0 };
         if !(below.is_complete() || last as usize <= below.next) {
             return false;
         }
-        // Size of the level below; the columns of it that there are, and where they stand in the padded rows: `padded[i]` is
-        // column `start - r + i`.
+        // Size of the level below; the columns of it that there are, and where they stand in the padded rows: column `start` at
+        // `lead`.
         let (w, h) = (self.size.0.div_ceil(scale), self.size.1.div_ceil(scale));
         let (start, end) = (ring.columns.start / scale, ring.columns.end.div_ceil(scale));
         let (from, to) = (start.saturating_sub(r), (end + r).min(w));
-        let place = r - (start - from);
-        below.starts(rows.start, weights.len(), h, from, starts);
+        let lead = lead(r);
+        let place = lead - (start - from);
+        below.starts(rows, h, from, starts);
         let [first, second] = padded;
-        down(
-            s,
-            weights,
-            &below.data,
-            starts,
-            to - from,
-            &mut first[place..],
-            &mut second[place..],
-        );
+        let (data, width) = (&below.data, to - from);
+        let out = [&mut first[place..], &mut second[place..]];
+        match &self.levels[level] {
+            Make::Taken(_) => {}
+            Make::Blurred(kernel) => down(s, kernel, data, starts, width, out),
+            Make::Doubled(kernel) => down_doubled(s, kernel, data, starts, width, out),
+        }
         for (padded, at) in [first, second].into_iter().zip(at).take(count) {
             let pixel = |column: isize| mirrored(column, w) - from + place;
-            for i in 0..place {
-                padded[i] = padded[pixel(i as isize + start as isize - r as isize)];
+            for i in lead - r..place {
+                padded[i] = padded[pixel(i as isize + start as isize - lead as isize)];
             }
             for column in to..end + r {
                 padded[column - from + place] = padded[pixel(column as isize)];
@@ -538,7 +529,7 @@ impl Chain<'_> {
             ring.data.resize(ring.kept * stride + BLOCK);
         }
         for row in padded {
-            row.resize(stride + 2 * widest + 2 * BLOCK);
+            row.resize(lead(widest) + stride + widest + 2 * BLOCK);
         }
         origin
     }
@@ -551,6 +542,7 @@ pub(crate) mod oracle {
     use crate::Options;
 
     /// A plane of f64.
+    #[derive(Clone)]
     pub(crate) struct Field {
         pub(crate) width: usize,
         pub(crate) height: usize,
@@ -599,7 +591,8 @@ pub(crate) mod oracle {
         }
     }
 
-    /// Gaussian layers `0..=intervals + 1` of the octaves from `options.first_octave` on; at most `count` octaves.
+    /// Gaussian layers `0..=intervals + 1` of the octaves from `options.first_octave` on; at most `count` octaves. Layers 0 and 1 of an
+    /// octave after the first are the last two of the one before, halved.
     pub(crate) fn octaves(image: &GrayImage, options: &Options, count: usize) -> Vec<Vec<Field>> {
         let (w, h) = (image.width(), image.height());
         let image = Field::from_fn(w, h, |x, y| f64::from(image.get(x, y)));
@@ -620,18 +613,17 @@ pub(crate) mod oracle {
             layer_0 = layer_0.blurred(between(before, 2.0 * sigma)).halved();
             before = sigma;
         }
-        let mut octaves = Vec::new();
-        for octave in 0..count {
-            let layers: Vec<Field> = (0..n + 2)
-                .map(|s| match (octave, before < sigma) {
-                    (0, true) => layer_0.blurred(between(before, sigma_at(s))),
-                    (_, _) if s == 0 => {
-                        Field::from_fn(layer_0.width, layer_0.height, |x, y| layer_0.at(x, y))
-                    }
-                    _ => layer_0.blurred(between(sigma, sigma_at(s))),
-                })
-                .collect();
-            layer_0 = layers[n].halved();
+        let blurred = |s: usize| match between(before, sigma_at(s)) {
+            0.0 => layer_0.clone(),
+            by => layer_0.blurred(by),
+        };
+        let mut octaves: Vec<Vec<Field>> = vec![(0..n + 2).map(blurred).collect()];
+        while octaves.len() < count {
+            let finer = &octaves[octaves.len() - 1];
+            let mut layers = vec![finer[n].halved(), finer[n + 1].halved()];
+            for s in 2..n + 2 {
+                layers.push(layers[1].blurred(between(sigma_at(1), sigma_at(s))));
+            }
             octaves.push(layers);
         }
         octaves
@@ -697,9 +689,12 @@ mod tests {
                                 if small || (octave == 0 && layer < 2) {
                                     continue;
                                 }
-                                let found = &planes[octave][layer];
-                                assert_eq!(found.pitch, if layer == 1 { 1 } else { 2 });
-                                // Layer 0 was made in the octave before, layer 2 is smooth.
+                                // Layers 0 and 1 were made in the octave before, layer 2 is smooth.
+                                let found = match layer {
+                                    0 | 1 => &planes[octave - 1][options.intervals - 1 + layer],
+                                    _ => &planes[octave][layer - 1],
+                                };
+                                assert_eq!(found.pitch, 2);
                                 let expected = if layer == 2 {
                                     &expected.halved()
                                 } else {

@@ -204,6 +204,45 @@ fn threads_do_not_change_a_bit_at_any_level() {
     }
 }
 
+/// On several threads the strongest of the fine octaves are oriented before the coarse ones have been searched. Here those show up
+/// to sixty that are stronger.
+#[test]
+fn what_coarse_octaves_show_takes_the_place_of_what_was_begun() {
+    let spot = |x: usize, y: usize, step: f32, sigma: f32| {
+        let d = [x, y].map(|v| (v as f32 + 0.31 * step).rem_euclid(step) - 0.5 * step);
+        (-0.5 * (d[0] * d[0] + d[1] * d[1]) / (sigma * sigma)).exp()
+    };
+    let image = GrayImage::from_fn(301, 333, |x, y| {
+        // No two spots as bright as each other.
+        let slope = 1.0 + 1e-3 * x as f32 + 7e-4 * y as f32;
+        slope * (0.4 * spot(x, y, 43.0, 6.3) - 0.15 * spot(x, y, 19.0, 1.6))
+    })
+    .unwrap();
+    let pools = [1, 2, 3].map(|n| {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(n)
+            .build()
+            .unwrap()
+    });
+    let mut taken = [0, 0];
+    for max_features in [1, 2, 3, 7, 60, 200, 400, 600, 1000] {
+        let options = Options {
+            max_features,
+            ..Options::default()
+        };
+        let [one, two, three] = pools.each_ref().map(|pool| {
+            let mut sift = Sift::new(options.clone()).unwrap();
+            pool.install(|| sift.detect_and_describe(&image))
+        });
+        assert_eq!(two, one, "{max_features}");
+        assert_eq!(three, one, "{max_features}");
+        assert!(one.len() <= max_features);
+        let coarse = one.keypoints.iter().filter(|k| k.octave > 0).count();
+        taken[usize::from(coarse < one.len())] += 1;
+    }
+    assert!(taken.iter().all(|n| *n >= 3), "{taken:?}");
+}
+
 /// Also after images of other sizes, on other numbers of threads, and without anything in them.
 #[test]
 fn a_used_engine_gives_what_a_new_one_gives() {

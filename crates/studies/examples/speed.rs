@@ -61,13 +61,14 @@ impl Worker {
                     adapt_contrast: false,
                     ..Options::default()
                 };
-                self.timed(request, options, |sift, image| sift.detect(image).len())
+                self.timed(request, options, |sift, image, _| sift.detect(image).len())
             }
-            "detect" => self.timed(request, options(request), |sift, image| {
+            "detect" => self.timed(request, options(request), |sift, image, _| {
                 sift.detect(image).len()
             }),
-            "describe" => self.timed(request, options(request), |sift, image| {
-                sift.detect_and_describe(image).len()
+            "describe" => self.timed(request, options(request), |sift, image, features| {
+                sift.detect_and_describe_into(image, features);
+                features.len()
             }),
             "compute" => self.compute(request),
             "match" => self.matches(request),
@@ -81,12 +82,15 @@ impl Worker {
         &mut self,
         request: &Value,
         options: Options,
-        work: impl Fn(&mut Sift, &GrayImage) -> usize + Sync,
+        work: impl Fn(&mut Sift, &GrayImage, &mut Features) -> usize + Sync,
     ) -> Answer {
         let image = image(&mut self.images, text(request, "image")?)?;
         let sift = engine(&mut self.engines, options)?;
         let pool = pool(&mut self.pools, request)?;
-        let (ms, count) = repeat(request, || pool.install(|| work(sift, image)));
+        let mut features = Features::default();
+        let (ms, count) = repeat(request, || {
+            pool.install(|| work(sift, image, &mut features))
+        });
         Ok(json!({ "ms": ms, "count": count }))
     }
 
@@ -155,9 +159,10 @@ impl Worker {
         let view = image(&mut self.images, text(request, "image")?)?;
         let sift = engine(&mut self.engines, options)?;
         let pool = pool(&mut self.pools, request)?;
+        let mut features = Features::default();
         let (ms, answer) = repeat(request, || {
             pool.install(|| {
-                let features = sift.detect_and_describe(view);
+                sift.detect_and_describe_into(view, &mut features);
                 register(
                     &features,
                     &target,
