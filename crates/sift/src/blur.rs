@@ -266,7 +266,7 @@ macro_rules! taps {
 /// The values `$i` after those in `$here`, of which `$next` are the following ones.
 ///
 /// A load that lies on two cache lines takes as long as three. Where a vector is as long as a line, that is every one, and the
-/// values are put together from two that are here; shorter vectors are loaded.
+/// values are put together from two that are here; shorter vectors are loaded, which leaves more registers.
 macro_rules! after {
     ($s:ident, $row:ident, $at:expr, $i:literal, $here:ident, $next:ident) => {
         if <S::f32s as SimdBase<S>>::LEN >= 16 {
