@@ -195,13 +195,7 @@ pub fn fit_affine(c: &[Correspondence], robust_weights: &[f64]) -> Option<Affine
     let freedom = (2.0 * effective - 6.0).max(0.5);
     let variance = residuals / freedom;
     let block = sandwich(&inverse, &meat, variance);
-    // From centred coordinates (x - mean_a) back to plain ones: b = b_centred - a . mean_a.
-    let shift = [
-        [1.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0],
-        [-mean_a[0], -mean_a[1], 1.0],
-    ];
-    let block = congruence(&shift, &block);
+    let block = congruence(&from_centred(mean_a), &block);
     let mut covariance = [[0.0; 6]; 6];
     for i in 0..3 {
         for j in 0..3 {
@@ -214,6 +208,15 @@ pub fn fit_affine(c: &[Correspondence], robust_weights: &[f64]) -> Option<Affine
         covariance,
         sigma_factor: variance.sqrt(),
     })
+}
+
+/// From a row's parameters in centred coordinates (x - mean_a) back to plain ones: b = b_centred - a . mean_a.
+fn from_centred(mean_a: Vec2) -> [[f64; 3]; 3] {
+    [
+        [1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [-mean_a[0], -mean_a[1], 1.0],
+    ]
 }
 
 fn weighted(
@@ -232,18 +235,91 @@ const CAUCHY_WIDTH: f64 = 2.4;
 
 /// Iteratively reweighted least squares with Cauchy weights; the scale is the median residual, taken anew each time.
 pub fn fit_affine_robust(c: &[Correspondence]) -> Option<AffineFit> {
+    let weights = robust_weights(c, 3, |weights| Some(solve(weighted(c, weights))?.b_from_a))?;
+    fit_affine(c, &weights)
+}
+
+/// The same for a similarity: for few correspondences, which an affine transform would follow into their errors.
+///
+/// The covariance is that of the affine transform which it stands for: the two parameters that a similarity lacks have a standard
+/// deviation of `anisotropy`, relative to the scale. With few degrees of freedom the residuals tell the scale of the errors badly:
+/// the variance is that of Student's distribution. `None` with fewer than four correspondences, for which it has none.
+pub fn fit_similarity_robust(c: &[Correspondence], anisotropy: f64) -> Option<AffineFit> {
+    if c.len() < 4 {
+        return None;
+    }
+    let similar = |weights: &[f64]| Some(solve_similarity(weighted(c, weights))?.b_from_a);
+    let robust = robust_weights(c, 2, similar)?;
+    let weights: Vec<f64> = robust
+        .iter()
+        .zip(c)
+        .map(|(r, c)| r / (c.sigma * c.sigma))
+        .collect();
+    let SimilaritySolution {
+        b_from_a,
+        mean_a,
+        spread,
+        total,
+        ..
+    } = solve_similarity(weighted(c, &weights))?;
+    // As in `fit_affine`; the normal matrix of (a, b, b1, b2) about the centroid is diagonal.
+    let (mut residuals, mut spread_meat, mut total_meat) = (0.0, 0.0, 0.0);
+    for ((c, w), robust) in c.iter().zip(&weights).zip(&robust) {
+        residuals += w * distance_sq(b_from_a.apply(c.p_in_a), c.p_in_b);
+        spread_meat += w * robust * distance_sq(c.p_in_a, mean_a);
+        total_meat += w * robust;
+    }
+    let freedom = 2.0 * robust.iter().sum::<f64>() - 4.0;
+    let variance = residuals / (freedom - 2.0).max(0.5);
+    let shape = (anisotropy * b_from_a.linear.det().abs().sqrt()).powi(2);
+    let turn = variance * spread_meat / (spread * spread);
+    let place = variance * total_meat / (total * total);
+    // Of (a11, a12, b1) with itself, as of (a21, a22, b2); then of the one with the other.
+    let same = [
+        [turn + shape, 0.0, 0.0],
+        [0.0, turn + shape, 0.0],
+        [0.0, 0.0, place],
+    ];
+    let across = [[0.0, turn - shape, 0.0], [shape - turn, 0.0, 0.0], [0.0; 3]];
+    let shift = from_centred(mean_a);
+    let [same, across] = [same, across].map(|block| congruence(&shift, &block));
+    let mut covariance = [[0.0; 6]; 6];
+    for i in 0..3 {
+        for j in 0..3 {
+            covariance[i][j] = same[i][j];
+            covariance[i + 3][j + 3] = same[i][j];
+            covariance[i][j + 3] = across[i][j];
+            covariance[j + 3][i] = across[i][j];
+        }
+    }
+    Some(AffineFit {
+        b_from_a,
+        covariance,
+        sigma_factor: variance.sqrt(),
+    })
+}
+
+/// Cauchy weights of a fit that `sample` correspondences determine. `fit` makes it from certainties times weights.
+///
+/// The scale is the median residual of those that the fit is free to miss: through as many as it takes it goes without any.
+fn robust_weights(
+    c: &[Correspondence],
+    sample: usize,
+    fit: impl Fn(&[f64]) -> Option<Affine2>,
+) -> Option<Vec<f64>> {
     let certainty: Vec<f64> = c.iter().map(|c| 1.0 / (c.sigma * c.sigma)).collect();
     let mut weights = certainty.clone();
     let mut robust = vec![1.0; c.len()];
     let (mut off_sq, mut ranked) = (vec![0.0; c.len()], Vec::new());
+    let middle = (c.len() + sample).saturating_sub(1) / 2;
     for _ in 0..ROUNDS {
-        let b_from_a = solve(weighted(c, &weights))?.b_from_a;
+        let b_from_a = fit(&weights)?;
         for ((off_sq, c), certainty) in off_sq.iter_mut().zip(c).zip(&certainty) {
             *off_sq = distance_sq(b_from_a.apply(c.p_in_a), c.p_in_b) * certainty;
         }
         ranked.clone_from(&off_sq);
-        let middle = ranked.len() / 2;
-        let (_, median_sq, _) = ranked.select_nth_unstable_by(middle, f64::total_cmp);
+        let last = ranked.len().checked_sub(1)?;
+        let (_, median_sq, _) = ranked.select_nth_unstable_by(middle.min(last), f64::total_cmp);
         let scale_sq = (*median_sq / (RAYLEIGH_MEDIAN * RAYLEIGH_MEDIAN)).max(1e-18);
         let half_sq = CAUCHY_WIDTH * CAUCHY_WIDTH * scale_sq;
         for i in 0..c.len() {
@@ -251,7 +327,7 @@ pub fn fit_affine_robust(c: &[Correspondence]) -> Option<AffineFit> {
             weights[i] = robust[i] * certainty[i];
         }
     }
-    fit_affine(c, &robust)
+    Some(robust)
 }
 
 fn distance_sq(p: Vec2, q: Vec2) -> f64 {
@@ -274,17 +350,29 @@ fn congruence(l: &[[f64; 3]; 3], m: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     std::array::from_fn(|i| std::array::from_fn(|j| dot3(&lm[i], &l[j])))
 }
 
-/// Least squares similarity (Umeyama 1991, in the plane closed form). `None` with fewer than two distinct points.
-pub fn fit_similarity(c: &[Correspondence]) -> Option<Similarity> {
-    let weights: Vec<f64> = c.iter().map(|c| 1.0 / (c.sigma * c.sigma)).collect();
-    let (mean_a, mean_b, total) = centroids(weighted(c, &weights));
-    if c.len() < 2 || !(total.is_finite() && total > 0.0) {
+struct SimilaritySolution {
+    b_from_a: Affine2,
+    similarity: Similarity,
+    mean_a: Vec2,
+    /// Weighted sum of squared distances from `mean_a`.
+    spread: f64,
+    /// Sum of weights.
+    total: f64,
+}
+
+/// Least squares similarity over `(p_in_a, p_in_b, weight)` (Umeyama 1991, in the plane closed form). `None` without two distinct
+/// points.
+fn solve_similarity(
+    points: impl Iterator<Item = (Vec2, Vec2, f64)> + Clone,
+) -> Option<SimilaritySolution> {
+    let (mean_a, mean_b, total) = centroids(points.clone());
+    if !(total.is_finite() && total > 0.0) {
         return None;
     }
     let (mut dot, mut cross, mut spread) = (0.0, 0.0, 0.0);
-    for (c, w) in c.iter().zip(&weights) {
-        let a = [c.p_in_a[0] - mean_a[0], c.p_in_a[1] - mean_a[1]];
-        let b = [c.p_in_b[0] - mean_b[0], c.p_in_b[1] - mean_b[1]];
+    for (p_in_a, p_in_b, w) in points {
+        let a = [p_in_a[0] - mean_a[0], p_in_a[1] - mean_a[1]];
+        let b = [p_in_b[0] - mean_b[0], p_in_b[1] - mean_b[1]];
         dot += w * (a[0] * b[0] + a[1] * b[1]);
         cross += w * (a[0] * b[1] - a[1] * b[0]);
         spread += w * (a[0] * a[0] + a[1] * a[1]);
@@ -293,11 +381,24 @@ pub fn fit_similarity(c: &[Correspondence]) -> Option<Similarity> {
         return None;
     }
     let (scale, angle_rad) = (f64::hypot(dot, cross) / spread, f64::atan2(cross, dot));
-    Some(Similarity {
+    let similarity = Similarity {
         scale,
         angle_rad,
         offset: through(Mat2::rotation(angle_rad) * scale, mean_a, mean_b).offset,
+    };
+    Some(SimilaritySolution {
+        b_from_a: similarity.into(),
+        similarity,
+        mean_a,
+        spread,
+        total,
     })
+}
+
+/// Least squares similarity, each equation weighted by `1 / sigma^2`. `None` with fewer than two distinct points.
+pub fn fit_similarity(c: &[Correspondence]) -> Option<Similarity> {
+    let weights: Vec<f64> = c.iter().map(|c| 1.0 / (c.sigma * c.sigma)).collect();
+    Some(solve_similarity(weighted(c, &weights))?.similarity)
 }
 
 #[cfg(test)]
@@ -359,6 +460,64 @@ mod tests {
         assert!(distance(fit.b_from_a, TRUTH.into()) < 1e-9);
         assert_eq!(fit_affine_robust(&exact[..2]), None);
         assert_eq!(fit_affine_robust(&[]), None);
+    }
+
+    #[test]
+    fn four_points_do_not_pass_for_three_exact_ones() {
+        // Through three of four points every affine transform goes exactly; that must not make it certain.
+        let mut rng = SplitMix64::new(11);
+        for _ in 0..200 {
+            let c = noisy(&mut rng, 4, 0.5);
+            let fit = fit_affine_robust(&c).unwrap();
+            assert!(fit.sigma_factor > 1e-3, "{}", fit.sigma_factor);
+        }
+    }
+
+    #[test]
+    fn a_similarity_of_few_points_knows_how_well_it_is_known() {
+        let truth = Affine2::from(Similarity {
+            scale: 3.0,
+            angle_rad: 0.8,
+            offset: [5.0, -7.0],
+        });
+        let mut rng = SplitMix64::new(12);
+        let (draws, at) = (2000, [100.0, 50.0]);
+        for n in [5, 8, 60] {
+            let mut far = 0;
+            for _ in 0..draws {
+                let c: Vec<Correspondence> = (0..n)
+                    .map(|_| {
+                        let p_in_a = [rng.uniform() * 640.0, rng.uniform() * 480.0];
+                        let q = truth.apply(p_in_a);
+                        Correspondence {
+                            p_in_a,
+                            p_in_b: q.map(|v| v + 0.7 * rng.normal()),
+                            sigma: 1.0,
+                        }
+                    })
+                    .collect();
+                let fit = fit_similarity_robust(&c, 0.0).unwrap();
+                let (p, q) = (fit.b_from_a.apply(at), truth.apply(at));
+                let off = f64::hypot(p[0] - q[0], p[1] - q[1]);
+                far += usize::from(off > 3.0 * fit.sigma_at(at));
+            }
+            // Of a normal distribution 1.1 % lie that far out in the plane.
+            assert!(far * 100 < 4 * draws, "{n}: {far} of {draws}");
+        }
+        let four = noisy(&mut rng, 4, 0.1);
+        assert_eq!(fit_similarity_robust(&four[..3], 0.0), None);
+        // What a similarity lacks counts by `anisotropy`: at 100 px from the centroid 0.01 is 1 px per unit of scale.
+        let exact: Vec<Correspondence> = [[-9.0, 0.0], [9.0, 0.0], [0.0, 9.0], [0.0, -9.0]]
+            .into_iter()
+            .map(|p_in_a| Correspondence {
+                p_in_a,
+                p_in_b: truth.apply(p_in_a),
+                sigma: 1.0,
+            })
+            .collect();
+        let fit = fit_similarity_robust(&exact, 0.01).unwrap();
+        assert!((fit.sigma_at([100.0, 0.0]) - 3.0).abs() < 1e-6);
+        assert!((fit.sigma_at([60.0, 80.0]) - 3.0).abs() < 1e-6);
     }
 
     #[test]

@@ -14,7 +14,7 @@ mod solve;
 pub use affine::{Affine2, Similarity};
 pub use fit::{
     AffineFit, Correspondence, affine_from_3, fit_affine, fit_affine_robust, fit_similarity,
-    similarity_from_oriented,
+    fit_similarity_robust, similarity_from_oriented,
 };
 pub use mat2::{Mat2, Svd2};
 pub use ransac::{AffineProblem, OrientedProblem, Problem, RansacOptions, RobustFit, lo_ransac};

@@ -9,7 +9,9 @@ use scopeservo_geometry::{
     Affine2, Correspondence, OrientedProblem, RansacOptions, Similarity, SplitMix64, fit_affine,
     fit_affine_robust, lo_ransac,
 };
-use scopeservo_registration::significance::{log10_nfa, occupied_area, unique_places};
+use scopeservo_registration::significance::{
+    AFFINE_SAMPLE, SIMILARITY_SAMPLE, log10_nfa, occupied_area, unique_places,
+};
 use scopeservo_registration::{Options, Prior, correspondences, register_matches};
 use scopeservo_sift::{Descriptor, Features, Keypoint, MatchOptions};
 use std::hint::black_box;
@@ -136,8 +138,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let (places_us, _) = best(|| unique_places(&points, 2.0, 2.2));
             let at = |k: &Keypoint| [f64::from(k.x), f64::from(k.y)];
             let (area_us, _) = best(|| occupied_area(target.keypoints.iter().map(at), 20.0));
-            let (nfa_us, _) =
-                best(|| [8.0, 4.0, 2.0].map(|r| log10_nfa(pairs.len(), chosen.len(), r * 1e-4)));
+            let (nfa_us, _) = best(|| {
+                [AFFINE_SAMPLE, SIMILARITY_SAMPLE].map(|sample| {
+                    [8.0, 4.0, 2.0].map(|r| log10_nfa(sample, pairs.len(), chosen.len(), r * 1e-4))
+                })
+            });
             println!(
                 "{:7} {share:5} {:7} | {matching_us:8.0} | {all_us:4.0} | {search_us:6.0} {:7} | {fit_us:3.0} | {places_us:15.0} {area_us:4.0} {nfa_us:3.0} | {covariance_us:3.0}",
                 found.len(),

@@ -1,11 +1,13 @@
 //! Features of view and target to a transform with a verdict.
 
 use crate::correspond::coherence;
-use crate::significance::{log10_nfa, occupied_area, unique_places};
+use crate::significance::{
+    AFFINE_SAMPLE, SIMILARITY_SAMPLE, log10_nfa, occupied_area, unique_places,
+};
 use crate::{Prior, correspondences};
 use scopeservo_geometry::{
     Affine2, AffineFit, AffineProblem, Correspondence, OrientedProblem, RansacOptions, RobustFit,
-    Vec2, fit_affine_robust, lo_ransac,
+    Vec2, fit_affine_robust, fit_similarity_robust, lo_ransac,
 };
 use scopeservo_sift::{Features, Keypoint, Match, MatchOptions};
 use serde::{Deserialize, Serialize};
@@ -152,6 +154,9 @@ impl Registration {
 
 /// Fewer features or matches than this can never pass the significance test.
 const MIN_MATCHES: usize = 5;
+/// How far from a similarity the transform between two views of a microscope may be, relative to its scale: standard deviation.
+/// Between the paper's 100x and 400x views it is 0.004.
+const ANISOTROPY: f64 = 0.005;
 /// Places closer than this, in pixels of each image times its keypoints' finest scale, are one place.
 const PLACE_PX: f64 = 2.0;
 
@@ -266,16 +271,33 @@ pub fn register_matches(
             .map(|k| [f64::from(k.x), f64::from(k.y)]),
         20.0,
     );
-    // The least probable of three radii counts; having tried three costs a factor of three.
+    // The least probable of three radii and two kinds of transform counts; having tried six costs a factor of six.
     let radii = [threshold, threshold / 2.0, threshold / 4.0];
-    let nfa = radii
-        .iter()
-        .map(|&r| {
+    let tried = (2.0 * radii.len() as f64).log10();
+    let least = |sample: usize, within: &dyn Fn(f64) -> usize| {
+        let nfa = |&r: &f64| {
             let chance = std::f64::consts::PI * r * r / area * prior.chance_of_coherence();
-            log10_nfa(places.len(), within(r), chance) + (radii.len() as f64).log10()
-        })
-        .fold(f64::INFINITY, f64::min);
+            log10_nfa(sample, places.len(), within(r), chance) + tried
+        };
+        radii.iter().map(nfa).fold(f64::INFINITY, f64::min)
+    };
+    let (mut fit, mut nfa) = (fit, least(AFFINE_SAMPLE, &within));
     let mut agreeing: Vec<usize> = places[..within(threshold)].iter().map(|p| p.1).collect();
+    let limit = options.false_alarms.log10();
+    if nfa >= limit
+        && let Some(similar) = similar(view, target, matches, pairs, &places, &agreeing)
+        && prior.allows(&similar.fit.b_from_a)
+    {
+        // Too few places for an affine transform may be enough for a similarity, and then that is the answer.
+        let within = |r: f64| similar.residuals.partition_point(|place| place.0 <= r);
+        let by_similarity = least(SIMILARITY_SAMPLE, &within);
+        if by_similarity < nfa {
+            nfa = by_similarity;
+            let near = &similar.residuals[..within(threshold)];
+            agreeing = near.iter().map(|place| place.1).collect();
+            fit = similar.fit;
+        }
+    }
     agreeing.sort_unstable();
 
     let (w, h) = (view.width as f64 - 1.0, view.height as f64 - 1.0);
@@ -283,7 +305,7 @@ pub fn register_matches(
         .into_iter()
         .map(|p| fit.sigma_at(p))
         .fold(0.0, f64::max);
-    let outcome = if nfa >= options.false_alarms.log10() {
+    let outcome = if nfa >= limit {
         Err(NotFound::ByChance {
             inliers: agreeing.len(),
             matches: places.len(),
@@ -319,6 +341,39 @@ pub fn register_matches(
             })
             .collect(),
     }
+}
+
+/// A similarity, and how far each place lies from where it belongs: residual and match, in order.
+struct Similar {
+    fit: AffineFit,
+    residuals: Vec<(f64, usize)>,
+}
+
+/// The robust similarity through the matches that `agree`. Places that turn or scale otherwise are
+/// infinitely far off.
+fn similar(
+    view: &Features,
+    target: &Features,
+    matches: &[Match],
+    pairs: &[Correspondence],
+    places: &[(f64, usize)],
+    agree: &[usize],
+) -> Option<Similar> {
+    let chosen: Vec<Correspondence> = agree.iter().map(|&i| pairs[i]).collect();
+    let fit = fit_similarity_robust(&chosen, ANISOTROPY)?;
+    let coherent = coherence(&fit.b_from_a);
+    let mut residuals: Vec<(f64, usize)> = places
+        .iter()
+        .map(|&(_, i)| {
+            let Match { query, train, .. } = matches[i];
+            match coherent(&view.keypoints[query], &target.keypoints[train]) {
+                true => (residual(&fit.b_from_a, &pairs[i]), i),
+                false => (f64::INFINITY, i),
+            }
+        })
+        .collect();
+    residuals.sort_by(|a, b| a.0.total_cmp(&b.0));
+    Some(Similar { fit, residuals })
 }
 
 /// The keypoints of each match.

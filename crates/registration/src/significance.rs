@@ -1,27 +1,32 @@
 //! How many transforms like this would chance alone produce? (Moisan, Stival, IJCV 2004, the a-contrario test.)
 //!
 //! Under the hypothesis that the images show different things, each match lands anywhere in the target, independently
-//! of the others. The expected number of transforms through 3 of n matches that at least k matches agree with, each by
+//! of the others. The expected number of transforms through m of n matches that at least k matches agree with, each by
 //! chance with probability p, is at most
-//! `NFA(n, k, p) = (n - 3) C(n, k) C(k, 3) p^(k - 3)`.
+//! `NFA(n, k, p) = (n - m) C(n, k) C(k, m) p^(k - m)`.
+//! An affine transform takes m = 3 matches, a similarity m = 2: five places that agree with a similarity say more than five
+//! that agree with some affine transform.
 //! Accepting only `NFA < false_alarms` therefore bounds the expected number of false "found" per registration. The
 //! bound needs independent places, so matches are counted on unique places only. It is the bound of that model, not a
 //! theorem about real images: how often unrelated ones are found is measured, too.
 
 use scopeservo_geometry::Vec2;
 
-/// Matches that a transform takes to be determined.
-const SAMPLE: usize = 3;
+/// Matches that an affine transform takes to be determined.
+pub const AFFINE_SAMPLE: usize = 3;
+/// Matches that a similarity takes to be determined.
+pub const SIMILARITY_SAMPLE: usize = 2;
 
-/// log10 of the expected number of false alarms. Infinite when `agreeing` does not exceed a minimal sample.
-pub fn log10_nfa(matches: usize, agreeing: usize, chance: f64) -> f64 {
-    if agreeing <= SAMPLE || matches <= SAMPLE || agreeing > matches {
+/// log10 of the expected number of false alarms, for transforms that `sample` matches determine. Infinite when `agreeing` does
+/// not exceed that.
+pub fn log10_nfa(sample: usize, matches: usize, agreeing: usize, chance: f64) -> f64 {
+    if agreeing <= sample || agreeing > matches {
         return f64::INFINITY;
     }
-    let ln = ((matches - SAMPLE) as f64).ln()
+    let ln = ((matches - sample) as f64).ln()
         + ln_choose(matches, agreeing)
-        + ln_choose(agreeing, SAMPLE)
-        + (agreeing - SAMPLE) as f64 * chance.clamp(1e-300, 1.0).ln();
+        + ln_choose(agreeing, sample)
+        + (agreeing - sample) as f64 * chance.clamp(1e-300, 1.0).ln();
     ln / std::f64::consts::LN_10
 }
 
@@ -138,17 +143,23 @@ mod tests {
     fn the_formula_in_the_head_is_what_is_computed() {
         // n = 10, k = 5, p = 0.01: 7 * 252 * 10 * 1e-4.
         let expected = (7.0f64 * 252.0 * 10.0 * 1e-4).log10();
-        assert!((log10_nfa(10, 5, 0.01) - expected).abs() < 1e-12);
+        assert!((log10_nfa(AFFINE_SAMPLE, 10, 5, 0.01) - expected).abs() < 1e-12);
+        // The same for m = 2: 8 * 252 * 10 * 1e-6.
+        let expected = (8.0f64 * 252.0 * 10.0 * 1e-6).log10();
+        assert!((log10_nfa(SIMILARITY_SAMPLE, 10, 5, 0.01) - expected).abs() < 1e-12);
     }
 
     #[test]
     fn more_agreement_is_less_by_chance_and_a_bare_sample_proves_nothing() {
-        assert_eq!(log10_nfa(100, 3, 1e-4), f64::INFINITY);
-        let mut last = f64::INFINITY;
-        for k in 6..60 {
-            let nfa = log10_nfa(100, k, 1e-4);
-            assert!(nfa < last);
-            last = nfa;
+        for sample in [SIMILARITY_SAMPLE, AFFINE_SAMPLE] {
+            assert_eq!(log10_nfa(sample, 100, sample, 1e-4), f64::INFINITY);
+            assert_eq!(log10_nfa(sample, 2, 3, 1e-4), f64::INFINITY);
+            let mut last = f64::INFINITY;
+            for k in 6..60 {
+                let nfa = log10_nfa(sample, 100, k, 1e-4);
+                assert!(nfa < last);
+                last = nfa;
+            }
         }
     }
 

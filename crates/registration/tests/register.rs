@@ -184,7 +184,7 @@ fn what_is_not_found_says_why() {
         ),
         "{nothing}"
     );
-    let (view, target) = pairs(6, 40, 0.2, 5, 1.0);
+    let (view, target) = pairs(4, 40, 0.2, 5, 1.0);
     let chance = reason(&view, &target, &free, &options);
     assert!(matches!(chance, NotFound::ByChance { .. }), "{chance}");
     // Many, but all in one part: they cannot tell where the corners go.

@@ -35,9 +35,8 @@ nightly_with() {
 neon() {
     needs qemu-aarch64 "Debian: qemu-user"
     needs aarch64-linux-gnu-gcc "Debian: gcc-aarch64-linux-gnu"
-    needs rustup "rustup.rs"
-    rustup target list --installed | grep -q aarch64-unknown-linux-gnu ||
-        skip "no such target (rustup target add aarch64-unknown-linux-gnu)"
+    [ -d "$(rustc --print sysroot)/lib/rustlib/aarch64-unknown-linux-gnu" ] ||
+        skip "no such target (rustup target add aarch64-unknown-linux-gnu, or Debian: libstd-rust-dev:arm64)"
     CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
         CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER="qemu-aarch64 -L /usr/aarch64-linux-gnu" \
         cargo test --release -p scopeservo-sift --target aarch64-unknown-linux-gnu --no-fail-fast --lib --tests
