@@ -4,7 +4,7 @@ use crate::args::{DemoArgs, Noise};
 use crate::error::CliError;
 use crate::progress::Watcher;
 use crate::scene::{self, Scene};
-use scopeservo_scope::{CancelToken, CheckedStage, Clock, Instrument, Limits, VirtualClock};
+use scopeservo_scope::{CancelToken, Clock, Instrument, MotionGate, VirtualClock};
 use scopeservo_servo::{Focus, FocusOptions, NoSink, ServoError, Target, VisionOptions};
 use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
 use scopeservo_twin::{Config, Truth, Twin};
@@ -47,9 +47,8 @@ impl Bench {
         })
         .map_err(|e| CliError::Internal(format!("Ctrl-C could not be provided for: {e}")))?;
         let scope = Instrument::new(
-            CheckedStage::new(twin.stage(), &Limits::default())?,
+            MotionGate::new(twin.stage(), twin.nosepiece(), twin.rules())?,
             twin.camera(),
-            twin.nosepiece(),
             clock,
             cancel,
         );
@@ -71,7 +70,7 @@ pub(crate) fn save_target(
 ) -> Result<Result<(Target, Truth), ServoError>, CliError> {
     let scope = &bench.scope;
     let best = scope
-        .nosepiece()
+        .gate()
         .objectives()
         .iter()
         .max_by(|a, b| a.magnification.total_cmp(&b.magnification))

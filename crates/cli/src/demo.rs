@@ -278,7 +278,7 @@ fn hidden_truth(
         .collect();
     let calibrations = bench
         .scope
-        .nosepiece()
+        .gate()
         .objectives()
         .iter()
         .filter_map(|o| {

@@ -4,7 +4,7 @@
 //! axes by up to 20 um or 0.01 rad, focus only away from the specimen, all inside the limits. A check that fails stops the
 //! stage and goes back to where it began.
 
-use crate::{Axis, CheckedStage, Instrument, Motion, PositiveZ, ScopeError, StagePose};
+use crate::{Axis, Instrument, Motion, MotionGate, PositiveZ, ScopeError, StagePose};
 use std::time::Duration;
 
 /// The result of one check.
@@ -45,10 +45,10 @@ fn run_and_return(
     name: &'static str,
     check: impl FnOnce() -> Result<(), String>,
 ) -> Check {
-    let home = scope.stage().position();
+    let home = scope.gate().position();
     let outcome = check();
     let back = || -> Result<(), ScopeError> {
-        scope.stage().stop()?;
+        scope.gate().stop()?;
         scope.move_to(&home?)?;
         Ok(())
     };
@@ -60,7 +60,7 @@ fn run_and_return(
 }
 
 /// x or y: the only axes that a long move is made along.
-fn long_axis(stage: &CheckedStage) -> Result<Axis, String> {
+fn long_axis(stage: &MotionGate) -> Result<Axis, String> {
     [Axis::X, Axis::Y]
         .into_iter()
         .find(|a| stage.info().axis(*a).is_some())
@@ -69,7 +69,7 @@ fn long_axis(stage: &CheckedStage) -> Result<Axis, String> {
 
 /// Where the stage is on `axis`, and a place at most `cap` away: towards the farther end of the limits, but for focus
 /// always away from the specimen.
-fn towards_room(stage: &CheckedStage, axis: Axis, cap: f64) -> Result<(f64, f64), String> {
+fn towards_room(stage: &MotionGate, axis: Axis, cap: f64) -> Result<(f64, f64), String> {
     let here = stage
         .position()
         .map_err(said)?
@@ -106,7 +106,7 @@ const LONG_M: f64 = 2e-3;
 
 /// Stage checks: read-back, limits, missing axes, numbers that are none, stop, refusal while moving, many threads.
 pub fn check_stage(scope: &Instrument) -> Vec<Check> {
-    let stage = scope.stage();
+    let stage = scope.gate();
     vec![
         run_and_return(scope, "every axis moves and reads back", || {
             for info in stage.info().axes.clone() {
@@ -275,8 +275,8 @@ pub fn check_camera(scope: &Instrument) -> Vec<Check> {
             },
         ),
         run_and_return(scope, "a grab after a move shows the new place", || {
-            let axis = long_axis(scope.stage())?;
-            let (here, there) = towards_room(scope.stage(), axis, trial(axis))?;
+            let axis = long_axis(scope.gate())?;
+            let (here, there) = towards_room(scope.gate(), axis, trial(axis))?;
             let to = |place: f64| StagePose::default().with_si(axis, place);
             let first = scope.grab().map_err(said)?;
             let same = scope.grab().map_err(said)?;
@@ -293,10 +293,10 @@ pub fn check_camera(scope: &Instrument) -> Vec<Check> {
             })
         }),
         run_and_return(scope, "frames can be grabbed during motion", || {
-            let axis = long_axis(scope.stage())?;
-            let (_, there) = towards_room(scope.stage(), axis, LONG_M)?;
+            let axis = long_axis(scope.gate())?;
+            let (_, there) = towards_room(scope.gate(), axis, LONG_M)?;
             scope
-                .stage()
+                .gate()
                 .start_move(&StagePose::default().with_si(axis, there))
                 .map_err(said)?;
             camera.grab().map(|_| ()).map_err(said)
@@ -317,11 +317,11 @@ fn difference(a: &crate::Frame, b: &crate::Frame) -> f64 {
 
 /// Nosepiece checks: every objective can be reached, unknown ones are refused.
 pub fn check_nosepiece(scope: &Instrument) -> Vec<Check> {
-    let nosepiece = scope.nosepiece();
+    let gate = scope.gate();
     vec![
         run("every objective can be selected", || {
-            let before = nosepiece.current().map_err(said)?;
-            for objective in nosepiece.objectives().to_vec() {
+            let before = gate.current_objective().map_err(said)?;
+            for objective in gate.objectives().to_vec() {
                 scope.select_objective(&objective.id).map_err(said)?;
             }
             if let Some(id) = before {
@@ -331,12 +331,12 @@ pub fn check_nosepiece(scope: &Instrument) -> Vec<Check> {
         }),
         run("an unknown objective is refused", || {
             let unknown = crate::ObjectiveId("no such objective".into());
-            ensure(nosepiece.start_change(&unknown).is_err(), || {
+            ensure(gate.start_change(&unknown).is_err(), || {
                 "it was accepted".into()
             })
         }),
         run("magnifications and nominal scales are positive", || {
-            for o in nosepiece.objectives() {
+            for o in gate.objectives() {
                 ensure(
                     o.magnification > 0.0
                         && o.nominal_um_per_px > 0.0

@@ -23,6 +23,53 @@ pub enum ScopeError {
         /// The upper limit, same unit.
         max: f64,
     },
+    /// The axes share their travel, and together ask for more than there is. Nothing moved.
+    #[error(
+        "the move was refused: the axes share their travel, and that place asks for {:.0} % of it; nothing moved. Bring other axes \
+         nearer to the middle of their travel first", share * 100.0
+    )]
+    OutsideWorkspace {
+        /// Share of the common travel that the place asks for; above 1.
+        share: f64,
+    },
+    /// The objective would come too close to something. Nothing moved.
+    #[error(
+        "the move was refused: over {zone} the objective may be at z = {closest_um:.1} um at the closest, and it would be at \
+         {z_um:.1} um; nothing moved. Retract first, or go another way"
+    )]
+    TooClose {
+        /// What is there.
+        zone: String,
+        /// The height at which it would be, um.
+        z_um: f64,
+        /// The nearest allowed, um.
+        closest_um: f64,
+    },
+    /// One move would go further than allowed. Nothing moved.
+    #[error(
+        "the move was refused: {axis} would go {step:.1} {unit} in one step, and {largest:.1} {unit} are allowed; nothing moved. \
+         Go in smaller steps, or allow larger ones",
+        unit = axis.display_unit()
+    )]
+    StepTooLarge {
+        /// The axis.
+        axis: Axis,
+        /// Its way, in the axis' display unit (um or deg).
+        step: f64,
+        /// The longest allowed, same unit.
+        largest: f64,
+    },
+    /// The objective is not retracted, so the nosepiece may not turn. Nothing moved.
+    #[error(
+        "the objective was not changed: the stage is at z = {at_um:.1} um, and the nosepiece may turn from {needed_um:.1} um on; \
+         nothing moved. Retract first"
+    )]
+    NotRetracted {
+        /// Where z is, um.
+        at_um: f64,
+        /// Where it must be, um.
+        needed_um: f64,
+    },
     /// The stage has no such axis. Nothing moved.
     #[error("the stage has no {axis} axis; nothing moved")]
     NoSuchAxis {
@@ -40,6 +87,22 @@ pub enum ScopeError {
     BadSetting {
         /// What is wrong and what to do.
         what: String,
+    },
+    /// The device refused, and says why. Nothing moved.
+    #[error("the {device} refused: {detail}")]
+    Refused {
+        /// Which device.
+        device: &'static str,
+        /// Its words.
+        detail: String,
+    },
+    /// The device does not know where it is. Nothing moved.
+    #[error(
+        "the {device} does not know where it is and must be homed first, which moves it: make room, then allow it with --home"
+    )]
+    NotHomed {
+        /// Which device.
+        device: &'static str,
     },
     /// A device is busy with an earlier command.
     #[error("the {device} is still busy with an earlier command; wait until it has settled")]
@@ -77,6 +140,14 @@ pub enum ScopeError {
         /// How long was waited, on the instrument's clock.
         seconds: f64,
     },
+    /// The connection to the device is gone.
+    #[error("the {device} is lost: {detail}. Check its power, its cable and its driver, then start again")]
+    Lost {
+        /// Which device.
+        device: &'static str,
+        /// How it was noticed.
+        detail: String,
+    },
     /// The device reported a fault of its own.
     #[error("the {device} reports: {detail}")]
     Device {
@@ -104,15 +175,22 @@ impl ScopeError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::OutsideLimits { .. }
+            | Self::OutsideWorkspace { .. }
+            | Self::TooClose { .. }
+            | Self::StepTooLarge { .. }
+            | Self::NotRetracted { .. }
             | Self::NoSuchAxis { .. }
             | Self::NotFinite { .. }
             | Self::BadSetting { .. }
+            | Self::Refused { .. }
+            | Self::NotHomed { .. }
             | Self::Busy { .. }
             | Self::NoSuchObjective { .. } => ErrorKind::Refused,
             Self::Interrupted { .. } => ErrorKind::Interrupted,
-            Self::MoveAborted { .. } | Self::Timeout { .. } | Self::Device { .. } => {
-                ErrorKind::Fault
-            }
+            Self::MoveAborted { .. }
+            | Self::Timeout { .. }
+            | Self::Lost { .. }
+            | Self::Device { .. } => ErrorKind::Fault,
         }
     }
 }

@@ -1,12 +1,13 @@
-//! A whole microscope: stage, camera, nosepiece and clock, with the waiting that every procedure needs.
+//! A whole microscope: what moves, behind its gate, camera and clock, with the waiting that every procedure needs.
 
 use crate::{
-    Camera, CheckedStage, Clock, Frame, Motion, Nosepiece, Objective, ObjectiveId, ScopeError,
-    StagePose,
+    Axis, Camera, ChangeRule, Clock, Frame, Length, Motion, MotionGate, Objective, ObjectiveId,
+    ScopeError, StagePose,
 };
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// How often a running move is asked whether it has ended.
@@ -46,11 +47,12 @@ pub struct Counters {
 
 /// Everything that a procedure may touch.
 pub struct Instrument {
-    stage: CheckedStage,
+    gate: MotionGate,
     camera: Box<dyn Camera>,
-    nosepiece: Box<dyn Nosepiece>,
     clock: Arc<dyn Clock>,
     cancel: CancelToken,
+    /// Where each objective was last in focus.
+    focus: Mutex<BTreeMap<ObjectiveId, Length>>,
     moves: AtomicU64,
     frames: AtomicU64,
     objective_changes: AtomicU64,
@@ -59,37 +61,31 @@ pub struct Instrument {
 impl Instrument {
     /// Puts the devices together.
     pub fn new(
-        stage: CheckedStage,
+        gate: MotionGate,
         camera: Box<dyn Camera>,
-        nosepiece: Box<dyn Nosepiece>,
         clock: Arc<dyn Clock>,
         cancel: CancelToken,
     ) -> Self {
         Self {
-            stage,
+            gate,
             camera,
-            nosepiece,
             clock,
             cancel,
+            focus: Mutex::new(BTreeMap::new()),
             moves: AtomicU64::new(0),
             frames: AtomicU64::new(0),
             objective_changes: AtomicU64::new(0),
         }
     }
 
-    /// The stage, behind its limits.
-    pub fn stage(&self) -> &CheckedStage {
-        &self.stage
+    /// Stage and nosepiece, behind their rules.
+    pub fn gate(&self) -> &MotionGate {
+        &self.gate
     }
 
     /// The camera.
     pub fn camera(&self) -> &dyn Camera {
         &*self.camera
-    }
-
-    /// The nosepiece.
-    pub fn nosepiece(&self) -> &dyn Nosepiece {
-        &*self.nosepiece
     }
 
     /// The clock that all devices share.
@@ -111,30 +107,35 @@ impl Instrument {
     /// # Errors
     /// [`ScopeError::NoSuchObjective`].
     pub fn objective(&self, id: &ObjectiveId) -> Result<&Objective, ScopeError> {
-        let all = self.nosepiece.objectives();
-        all.iter()
-            .find(|o| o.id == *id)
-            .ok_or_else(|| ScopeError::NoSuchObjective {
-                asked: id.clone(),
-                available: all
-                    .iter()
-                    .map(|o| o.id.0.as_str())
-                    .collect::<Vec<_>>()
-                    .join(", "),
-            })
+        self.gate.objective(id)
+    }
+
+    /// Tells at which height of the stage an objective is in focus. The differences between objectives predict where the next one
+    /// will be.
+    pub fn focus_found(&self, id: &ObjectiveId, z: Length) {
+        self.focus_heights_mut().insert(id.clone(), z);
+    }
+
+    /// Where each objective was last in focus.
+    pub fn focus_heights(&self) -> BTreeMap<ObjectiveId, Length> {
+        self.focus_heights_mut().clone()
+    }
+
+    fn focus_heights_mut(&self) -> std::sync::MutexGuard<'_, BTreeMap<ObjectiveId, Length>> {
+        self.focus.lock().unwrap_or_else(|e| e.into_inner())
     }
 
     /// Moves and waits until the stage has settled. Returns where it says it is.
     ///
     /// # Errors
-    /// Refused moves as in [`CheckedStage::check`]; [`ScopeError::Interrupted`] after the token was cancelled (the
+    /// Refused moves as in [`MotionGate::start_move`]; [`ScopeError::Interrupted`] after the token was cancelled (the
     /// stage was stopped first); [`ScopeError::MoveAborted`]; [`ScopeError::Timeout`].
     pub fn move_to(&self, to: &StagePose) -> Result<StagePose, ScopeError> {
         self.check_cancel()?;
-        self.stage.start_move(to)?;
+        self.gate.start_move(to)?;
         self.moves.fetch_add(1, Ordering::SeqCst);
-        let settled = self.wait("stage", || self.stage.poll(), || self.stage.stop())?;
-        let at = self.stage.position();
+        let settled = self.wait("stage", || self.gate.poll())?;
+        let at = self.gate.position();
         match settled {
             Motion::Settled => at,
             _ => Err(ScopeError::MoveAborted { at: at.ok() }),
@@ -143,22 +144,57 @@ impl Instrument {
 
     /// Brings an objective into the beam and waits for it. Does nothing when it is there already.
     ///
+    /// Where the rules say so, the stage retracts first, and afterwards comes back to where the new objective is expected in focus:
+    /// as much higher or lower as it was found to be in focus before, or short of the old height by the rule's margin. A
+    /// stage that was retracted already stays so.
+    ///
     /// # Errors
-    /// [`ScopeError::NoSuchObjective`], and as [`Instrument::move_to`].
+    /// [`ScopeError::NoSuchObjective`], and as [`Instrument::move_to`]. When the way back is refused the stage stays retracted.
     pub fn select_objective(&self, id: &ObjectiveId) -> Result<(), ScopeError> {
         self.check_cancel()?;
-        self.objective(id)?;
-        if self.nosepiece.current()?.as_ref() == Some(id) {
+        self.gate.objective(id)?;
+        let before = self.gate.current_objective()?;
+        if before.as_ref() == Some(id) {
             return Ok(());
         }
-        self.nosepiece.start_change(id)?;
+        let ChangeRule::Retracted {
+            z: retracted,
+            margin,
+        } = self.gate.rules().change
+        else {
+            return self.turn(id);
+        };
+        let to = |z: f64| StagePose::default().with_si(Axis::Z, z);
+        let here = self
+            .gate
+            .position()?
+            .si(Axis::Z)
+            .ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
+        let side = self.gate.positive_z();
+        let at_work = side.nearer_by(here, retracted) > 0.0;
+        if at_work {
+            self.move_to(&to(retracted))?;
+        }
+        self.turn(id)?;
+        if at_work {
+            let heights = self.focus_heights();
+            let known = before.and_then(|old| Some((heights.get(&old)?, heights.get(id)?)));
+            let expected = match known {
+                Some((old, new)) => here + (new.m() - old.m()),
+                None => side.away(here, margin),
+            };
+            if side.nearer_by(expected, retracted) > 0.0 {
+                self.move_to(&to(expected))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn turn(&self, id: &ObjectiveId) -> Result<(), ScopeError> {
+        self.gate.start_change(id)?;
         self.objective_changes.fetch_add(1, Ordering::SeqCst);
-        let settled = self.wait(
-            "nosepiece",
-            || self.nosepiece.poll(),
-            || self.nosepiece.stop(),
-        )?;
-        let now = self.nosepiece.current()?;
+        let settled = self.wait("nosepiece", || self.gate.poll_nosepiece())?;
+        let now = self.gate.current_objective()?;
         if settled != Motion::Settled || now.as_ref() != Some(id) {
             return Err(ScopeError::Device {
                 device: "nosepiece",
@@ -185,9 +221,9 @@ impl Instrument {
     /// An error when a stop was asked for.
     pub fn check_cancel(&self) -> Result<(), ScopeError> {
         if self.cancel.is_cancelled() {
-            self.stage.stop()?;
+            self.gate.stop()?;
             return Err(ScopeError::Interrupted {
-                at: self.stage.position().ok(),
+                at: self.gate.position().ok(),
             });
         }
         Ok(())
@@ -197,14 +233,13 @@ impl Instrument {
         &self,
         device: &'static str,
         poll: impl Fn() -> Result<Motion, ScopeError>,
-        stop: impl Fn() -> Result<(), ScopeError>,
     ) -> Result<Motion, ScopeError> {
         let start = self.clock.now();
         loop {
             if self.cancel.is_cancelled() {
-                stop()?;
+                self.gate.stop()?;
                 return Err(ScopeError::Interrupted {
-                    at: self.stage.position().ok(),
+                    at: self.gate.position().ok(),
                 });
             }
             match poll() {
@@ -214,12 +249,12 @@ impl Instrument {
                 Ok(ended) => return Ok(ended),
                 Err(fault) => {
                     // A device that cannot say what it does must not go on doing it; its own fault is the news.
-                    let _ = stop();
+                    let _ = self.gate.stop();
                     return Err(fault);
                 }
             }
             if self.clock.now().since(start) > MOVE_TIMEOUT {
-                stop()?;
+                self.gate.stop()?;
                 return Err(ScopeError::Timeout {
                     device,
                     seconds: MOVE_TIMEOUT.as_secs_f64(),
@@ -234,7 +269,7 @@ impl Instrument {
 mod tests {
     use super::*;
     use crate::{
-        Axis, AxisInfo, CameraInfo, Kinematics, Limits, PositiveZ, Stage, StageInfo, Timestamp,
+        AxisInfo, CameraInfo, Kinematics, Nosepiece, PositiveZ, Rules, Stage, StageInfo, Timestamp,
     };
     use std::sync::Mutex;
 
@@ -279,7 +314,8 @@ mod tests {
             Ok(())
         }
         fn poll(&self) -> Result<Motion, ScopeError> {
-            if self.fault {
+            let moves = matches!(*self.state.lock().unwrap(), Place::Moves { .. });
+            if self.fault && moves {
                 return Err(ScopeError::Device {
                     device: "stage",
                     detail: "cable".into(),
@@ -396,8 +432,12 @@ mod tests {
             state: state.clone(),
         };
         let scope = Instrument::new(
-            CheckedStage::new(Box::new(stage), &Limits::default()).unwrap(),
-            nothing(),
+            MotionGate::new(
+                Box::new(stage),
+                nothing(),
+                Rules::travel_only(ChangeRule::Anywhere),
+            )
+            .unwrap(),
             nothing(),
             clock.clone(),
             cancel,

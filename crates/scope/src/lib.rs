@@ -7,24 +7,26 @@
 //! - [`Length`], [`Angle`], [`Timestamp`]: SI inside, micrometres and degrees at the edges.
 //! - [`Stage`], [`Camera`], [`Nosepiece`], [`Clock`]: the device contracts. All methods take `&self`, so that
 //!   [`Stage::stop`] works from another thread while a move runs.
-//! - [`CheckedStage`]: the only stage an [`Instrument`] accepts. It refuses what is outside the limits, never clips.
+//! - [`MotionGate`]: the only way to move an [`Instrument`]. It refuses what its [`Rules`] do not allow, and never clips.
 //! - [`conformance`]: one suite that every implementation must pass.
 
 mod camera;
 mod clock;
 pub mod conformance;
 mod error;
+mod gate;
 mod instrument;
-mod limits;
 mod nosepiece;
+mod rules;
 mod stage;
 mod units;
 
 pub use camera::{Camera, CameraInfo, Channels, Frame, Samples};
 pub use clock::{Clock, SystemClock, Timestamp, VirtualClock};
 pub use error::{ErrorKind, ScopeError};
+pub use gate::MotionGate;
 pub use instrument::{CancelToken, Counters, Instrument};
-pub use limits::{AxisRange, CheckedStage, Limits};
 pub use nosepiece::{Nosepiece, Objective, ObjectiveId};
+pub use rules::{AxisRange, ChangeRule, LargestStep, Limits, Rules, Workspace, Zone};
 pub use stage::{Axis, AxisInfo, Kinematics, Motion, PositiveZ, Stage, StageInfo, StagePose};
 pub use units::{Angle, Length};

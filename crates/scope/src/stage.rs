@@ -44,6 +44,15 @@ impl Axis {
             Length::from_m(si).um()
         }
     }
+
+    /// The SI value (m or rad) of one in the display unit (um or deg).
+    pub fn from_display(self, shown: f64) -> f64 {
+        if self.is_rotation() {
+            Angle::from_deg(shown).rad()
+        } else {
+            Length::from_um(shown).m()
+        }
+    }
 }
 
 impl fmt::Display for Axis {
@@ -207,5 +216,8 @@ mod tests {
     fn people_read_micrometres_and_degrees() {
         assert!((Axis::X.to_display(1e-6) - 1.0).abs() < 1e-12);
         assert!((Axis::Rz.to_display(std::f64::consts::PI) - 180.0).abs() < 1e-12);
+        for axis in Axis::ALL {
+            assert!((axis.to_display(axis.from_display(0.3)) - 0.3).abs() < 1e-12);
+        }
     }
 }

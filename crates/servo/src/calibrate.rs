@@ -116,7 +116,7 @@ impl Calibrate {
         sink: &mut dyn Sink,
         pose: &PlanarPose,
     ) -> Result<Option<Observation>, ServoError> {
-        let present = scope.stage().position()?;
+        let present = scope.gate().position()?;
         let at = scope.move_to(&pose.request(&present))?;
         let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
         let view = features(&frame, &self.vision.view)?;
@@ -195,7 +195,7 @@ impl Calibrate {
             }
         } else if self.translations.len() < NEEDED {
             if halvings == HALVINGS {
-                scope.move_to(&reference.request(&scope.stage().position()?))?;
+                scope.move_to(&reference.request(&scope.gate().position()?))?;
                 return Err(self.too_few(self.translations.len(), NEEDED));
             }
             self.translations.clear();
@@ -203,7 +203,7 @@ impl Calibrate {
                 index: 0,
                 halvings: halvings + 1,
             }
-        } else if scope.stage().info().axis(Axis::Rz).is_some() {
+        } else if scope.gate().info().axis(Axis::Rz).is_some() {
             State::Probe {
                 angle_rad: FIRST_ROTATION_RAD,
                 tries: 0,
@@ -235,7 +235,7 @@ impl Calibrate {
         let widest = self.options.max_rotation_rad;
         self.state = match swept_px {
             None if tries >= 3 => {
-                scope.move_to(&reference.request(&scope.stage().position()?))?;
+                scope.move_to(&reference.request(&scope.gate().position()?))?;
                 return Err(self.too_few(0, 2));
             }
             None => State::Probe {
@@ -265,7 +265,7 @@ impl Calibrate {
     }
 
     fn finish(&self, scope: &Instrument) -> Result<(Calibration, f64), ServoError> {
-        let info = scope.stage().info();
+        let info = scope.gate().info();
         let reference = self.reference_pose.ok_or_else(no_reference)?;
         let (pixel_from_stage, eta, residual_px) = solve_hand_eye(
             info.kinematics,
@@ -338,7 +338,7 @@ impl Procedure for Calibrate {
     ) -> Result<Progress<Calibration>, ServoError> {
         match self.state.clone() {
             State::Reference => {
-                let at = scope.stage().position()?;
+                let at = scope.gate().position()?;
                 if at.x.is_none() || at.y.is_none() {
                     let axis = if at.x.is_none() { Axis::X } else { Axis::Y };
                     return Err(ScopeError::NoSuchAxis { axis }.into());
@@ -369,8 +369,8 @@ impl Procedure for Calibrate {
             }
             State::Return => {
                 let reference = self.reference_pose.ok_or_else(no_reference)?;
-                scope.move_to(&reference.request(&scope.stage().position()?))?;
-                if scope.stage().info().axis(Axis::Rz).is_some() && self.rotations.is_empty() {
+                scope.move_to(&reference.request(&scope.gate().position()?))?;
+                if scope.gate().info().axis(Axis::Rz).is_some() && self.rotations.is_empty() {
                     return Err(self.too_few(0, 1));
                 }
                 let (calibration, residual_px) = self.finish(scope)?;

@@ -115,7 +115,7 @@ impl Focus {
         let count = ((to - from) / step).round().max(1.0) as usize;
         (0..=count)
             .map(|k| from + (to - from) * k as f64 / count as f64)
-            .filter(|&z| scope.stage().check(&height(z)).is_ok())
+            .filter(|&z| scope.gate().check(&height(z)).is_ok())
             .collect()
     }
 
@@ -210,7 +210,7 @@ impl Procedure for Focus {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<FocusResult>, ServoError> {
-        if scope.stage().info().axis(Axis::Z).is_none() {
+        if scope.gate().info().axis(Axis::Z).is_none() {
             return Ok(Progress::Done(FocusResult {
                 z_um: None,
                 sharpness: 0.0,
@@ -222,7 +222,7 @@ impl Procedure for Focus {
             Some(z) => z,
             None => {
                 let z = scope
-                    .stage()
+                    .gate()
                     .position()?
                     .z
                     .ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
@@ -237,10 +237,11 @@ impl Procedure for Focus {
             let best = self.best();
             let z = peak_of(&self.samples, best);
             let below = height(z - 2.0 * self.coarse_step_um());
-            if scope.stage().check(&below).is_ok() {
+            if scope.gate().check(&below).is_ok() {
                 scope.move_to(&below)?;
             }
             scope.move_to(&height(z))?;
+            scope.focus_found(&self.objective.id, Length::from_um(z));
             return Ok(Progress::Done(FocusResult {
                 z_um: Some(z),
                 sharpness: self.samples[best][1],

@@ -8,7 +8,7 @@ use crate::{
     Calibrate, CalibrateOptions, Calibration, Engine, Event, Focus, FocusOptions, Phase, Servo,
     ServoEnd, ServoError, ServoOptions, ServoResult, Sink, Target, VisionOptions,
 };
-use scopeservo_scope::{ErrorKind, Instrument, Length, ObjectiveId};
+use scopeservo_scope::{Instrument, Length, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -56,7 +56,7 @@ pub enum Reason {
     IterationLimit,
     /// The error grew.
     Diverged,
-    /// The way leads outside the limits.
+    /// The way leads outside the limits, or past another rule of the motion gate.
     OutsideLimits,
     /// The place is back, but the stage has no axis for the angle that is left.
     CannotTurn,
@@ -137,7 +137,7 @@ impl Reposition {
     fn plan(&mut self, scope: &Instrument) -> Result<(), ServoError> {
         let last = scope.objective(&self.target.objective)?.clone();
         let mut ladder: Vec<_> = scope
-            .nosepiece()
+            .gate()
             .objectives()
             .iter()
             .filter(|o| o.id == last.id || o.magnification < last.magnification)
@@ -360,11 +360,13 @@ impl Reposition {
             ServoError::CalibrationViews { .. }
             | ServoError::CalibrationImplausible { .. }
             | ServoError::CalibrationInconsistent { .. } => Reason::CalibrationFailed,
-            ServoError::Scope(e @ scopeservo_scope::ScopeError::OutsideLimits { .. })
-                if e.kind() == ErrorKind::Refused =>
-            {
-                Reason::OutsideLimits
-            }
+            ServoError::Scope(
+                ScopeError::OutsideLimits { .. }
+                | ScopeError::OutsideWorkspace { .. }
+                | ScopeError::TooClose { .. }
+                | ScopeError::StepTooLarge { .. }
+                | ScopeError::NotRetracted { .. },
+            ) => Reason::OutsideLimits,
             _ => return Err(error),
         };
         Ok(self.outcome(Verdict::Refused, reason, error.to_string()))

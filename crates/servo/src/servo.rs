@@ -120,7 +120,7 @@ impl Servo {
         sink: &mut dyn Sink,
     ) -> Result<Progress<ServoEnd>, ServoError> {
         let objective = &task.view_calibration.objective;
-        let present = scope.stage().position()?;
+        let present = scope.gate().position()?;
         // Camera.
         let frame = grab(scope, sink, FrameRole::Servo, objective)?;
         // Features, match and fit.
@@ -151,7 +151,7 @@ impl Servo {
             return Ok(self.lost(task, scope, sink, frame.sequence, &reason));
         };
         // Control.
-        let turns = scope.stage().info().axis(Axis::Rz).is_some();
+        let turns = scope.gate().info().axis(Axis::Rz).is_some();
         let converged = passes(&error, &estimate, turns, task);
         let mut velocity = control_law(&error, task.options.lambda);
         if !turns {
@@ -178,7 +178,7 @@ impl Servo {
         // Stage. A frame that passes is confirmed by the next one from the same place.
         if !converged {
             let motion = motion_of(&velocity, task.view_calibration);
-            let kinematics = scope.stage().info().kinematics;
+            let kinematics = scope.gate().info().kinematics;
             let to = pose_after(kinematics, &PlanarPose::from(&present), &motion);
             scope.move_to(&to.request(&present))?;
         }

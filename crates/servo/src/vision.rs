@@ -74,7 +74,7 @@ impl Target {
         options: &VisionOptions,
         sink: &mut dyn Sink,
     ) -> Result<Self, ServoError> {
-        let objective = scope.nosepiece().current()?.ok_or_else(|| {
+        let objective = scope.gate().current_objective()?.ok_or_else(|| {
             ServoError::BadOption("no objective is in the beam; select one and try again".into())
         })?;
         let frame = grab(scope, sink, FrameRole::Target, &objective)?;

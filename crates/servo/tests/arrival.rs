@@ -110,7 +110,7 @@ fn a_way_past_the_limits_is_refused_and_stays_inside() {
         ranges,
     );
     refused(&bench, Reason::OutsideLimits);
-    let y = bench.scope.stage().position().unwrap().y.unwrap().m();
+    let y = bench.scope.gate().position().unwrap().y.unwrap().m();
     assert!(y.abs() <= 2e-3);
 }
 

@@ -45,7 +45,7 @@ fn a_stop_ends_the_run_with_the_stage_at_rest_wherever_it_comes() {
             ),
             "{ended:?}"
         );
-        assert_ne!(bench.scope.stage().poll().unwrap(), Motion::Moving);
+        assert_ne!(bench.scope.gate().poll().unwrap(), Motion::Moving);
         assert_eq!(after, 0, "something was done after the stop");
     }
 }
@@ -53,8 +53,8 @@ fn a_stop_ends_the_run_with_the_stage_at_rest_wherever_it_comes() {
 #[test]
 fn over_blank_glass_focus_says_so_and_goes_back() {
     let bench = bench_over(one_objective(), Arc::new(Blank), Vec::new());
-    let before = bench.scope.stage().position().unwrap().z.unwrap().um();
-    let objective = bench.scope.nosepiece().objectives()[0].clone();
+    let before = bench.scope.gate().position().unwrap().z.unwrap().um();
+    let objective = bench.scope.gate().objectives()[0].clone();
     let ended = run(
         &mut Focus::new(objective, FocusOptions::default()),
         &bench.scope,
@@ -64,14 +64,14 @@ fn over_blank_glass_focus_says_so_and_goes_back() {
         matches!(ended, Err(ServoError::NoFocus { .. })),
         "{ended:?}"
     );
-    let after = bench.scope.stage().position().unwrap().z.unwrap().um();
+    let after = bench.scope.gate().position().unwrap().z.unwrap().um();
     assert!((after - before).abs() < 0.5, "{before} {after}");
 }
 
 #[test]
 fn a_calibration_with_the_wrong_sign_is_stopped_before_it_runs_away() {
     let bench = bench(one_objective());
-    let objective = bench.scope.nosepiece().objectives()[0].clone();
+    let objective = bench.scope.gate().objectives()[0].clone();
     let vision = VisionOptions::default();
     let (target, truth) = bench.save();
     let mut calibrate = Calibrate::new(objective, CalibrateOptions::default(), vision.clone());

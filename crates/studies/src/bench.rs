@@ -1,8 +1,8 @@
 //! A simulated microscope over tissue, ready to be studied.
 
 use scopeservo_scope::{
-    Angle, CancelToken, CheckedStage, Clock, Instrument, Length, Limits, ObjectiveId, ScopeError,
-    StagePose, VirtualClock,
+    Angle, CancelToken, Clock, Instrument, Length, MotionGate, ObjectiveId, ScopeError, StagePose,
+    VirtualClock,
 };
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Calibration, Focus, FocusOptions, NoSink, ServoError,
@@ -75,7 +75,7 @@ impl Bench {
 
     /// The objectives, lowest magnification first.
     pub fn objectives(&self) -> Vec<ObjectiveId> {
-        let mut all = self.scope.nosepiece().objectives().to_vec();
+        let mut all = self.scope.gate().objectives().to_vec();
         all.sort_by(|a, b| a.magnification.total_cmp(&b.magnification));
         all.into_iter().map(|o| o.id).collect()
     }
@@ -87,9 +87,8 @@ fn make(config: Config, seed: u64, clock: Arc<dyn Clock>) -> Result<Twin, TwinEr
 
 fn instrument(twin: &Twin, clock: Arc<dyn Clock>) -> Result<Instrument, ScopeError> {
     Ok(Instrument::new(
-        CheckedStage::new(twin.stage(), &Limits::default())?,
+        MotionGate::new(twin.stage(), twin.nosepiece(), twin.rules())?,
         twin.camera(),
-        twin.nosepiece(),
         clock,
         CancelToken::new(),
     ))

@@ -14,7 +14,8 @@ use crate::truth::{TrueCalibration, Truth};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 use scopeservo_scope::{
-    Axis, Camera, CameraInfo, Clock, Nosepiece, Objective, ObjectiveId, Stage, StageInfo,
+    Axis, Camera, CameraInfo, ChangeRule, Clock, Nosepiece, Objective, ObjectiveId, Rules, Stage,
+    StageInfo,
 };
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -202,6 +203,20 @@ impl Twin {
     /// The nosepiece.
     pub fn nosepiece(&self) -> Box<dyn Nosepiece> {
         Box::new(TwinNosepiece(self.inner.clone()))
+    }
+
+    /// The rules that a careful owner of this microscope would set: its nosepiece turns 2 mm away from the specimen.
+    pub fn rules(&self) -> Rules {
+        let stage = &self.inner.stage_info;
+        let change = match stage.axis(Axis::Z) {
+            Some(_) => ChangeRule::Retracted {
+                z: stage.positive_z.away(0.0, 2e-3),
+                // Objectives are parfocal within the reach of a focus sweep.
+                margin: 0.0,
+            },
+            None => ChangeRule::Anywhere,
+        };
+        Rules::travel_only(change)
     }
 
     /// The microscope's make.

@@ -8,7 +8,7 @@
 )]
 
 use scopeservo_scope::{
-    Axis, AxisRange, CancelToken, CheckedStage, Clock, Frame, Instrument, Limits, VirtualClock,
+    Axis, AxisRange, CancelToken, Clock, Frame, Instrument, Limits, MotionGate, Rules, VirtualClock,
 };
 use scopeservo_servo::{
     Event, Focus, FocusOptions, FrameRole, NoSink, Outcome, Procedure, Progress, Reposition,
@@ -35,10 +35,13 @@ pub fn bench_over(config: Config, specimen: Arc<dyn Specimen>, ranges: Vec<AxisR
     let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
     let twin = Twin::new(config, specimen, 5, clock.clone()).unwrap();
     let cancel = CancelToken::new();
+    let rules = Rules {
+        limits: Limits { ranges },
+        ..twin.rules()
+    };
     let scope = Instrument::new(
-        CheckedStage::new(twin.stage(), &Limits { ranges }).unwrap(),
+        MotionGate::new(twin.stage(), twin.nosepiece(), rules).unwrap(),
         twin.camera(),
-        twin.nosepiece(),
         clock,
         cancel.clone(),
     );
@@ -71,8 +74,8 @@ pub fn options() -> RepositionOptions {
 impl Bench {
     /// Focuses and saves the present view; also where it truly is.
     pub fn save(&self) -> (Target, Truth) {
-        if self.scope.stage().info().axis(Axis::Z).is_some() {
-            let objective = self.scope.nosepiece().objectives()[0].clone();
+        if self.scope.gate().info().axis(Axis::Z).is_some() {
+            let objective = self.scope.gate().objectives()[0].clone();
             run(
                 &mut Focus::new(objective, FocusOptions::default()),
                 &self.scope,

@@ -6,8 +6,8 @@
 )]
 
 use scopeservo_scope::{
-    Camera, CancelToken, CheckedStage, Clock, Frame, Instrument, Limits, ObjectiveId, Stage,
-    StagePose, VirtualClock,
+    Camera, CancelToken, Clock, Frame, Instrument, MotionGate, ObjectiveId, Stage, StagePose,
+    VirtualClock,
 };
 use scopeservo_twin::{Config, Patch, Specimen, SpecimenError, StageConfig, Twin};
 use std::sync::Arc;
@@ -150,9 +150,8 @@ impl Bench {
     }
     pub fn instrument(&self) -> Instrument {
         Instrument::new(
-            CheckedStage::new(self.twin.stage(), &Limits::default()).unwrap(),
+            MotionGate::new(self.twin.stage(), self.twin.nosepiece(), self.twin.rules()).unwrap(),
             self.twin.camera(),
-            self.twin.nosepiece(),
             self.clock.clone(),
             CancelToken::new(),
         )

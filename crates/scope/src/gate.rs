@@ -1,0 +1,382 @@
+//! The motion gate: the one way to move a stage or turn a nosepiece. It refuses with a reason, and never clips.
+
+use crate::rules::narrowed;
+use crate::{
+    Axis, AxisRange, ChangeRule, Motion, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules,
+    ScopeError, Stage, StageInfo, StagePose, Workspace, Zone,
+};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard};
+
+/// Two heights nearer to each other than this are the same: 1 um.
+const SAME_HEIGHT_M: f64 = 1e-6;
+
+/// Stage and nosepiece behind their rules. There is no way to move an [`crate::Instrument`] but through this type: a request is
+/// carried out whole, or refused whole with the reason.
+///
+/// What is checked is still true when the move begins: checking and beginning happen under one lock, for stage and nosepiece
+/// together. Stopping never waits for it, and what begins while somebody stops is stopped as well.
+pub struct MotionGate {
+    stage: Box<dyn Stage>,
+    nosepiece: Box<dyn Nosepiece>,
+    rules: Rules,
+    /// Limits for all objectives, one for each axis that the stage has.
+    ranges: Vec<AxisRange>,
+    begin: Mutex<()>,
+    stops: AtomicU64,
+}
+
+impl MotionGate {
+    /// Puts stage and nosepiece behind the stage's own travel and the user's rules, whichever is narrower.
+    ///
+    /// # Errors
+    /// [`ScopeError::BadSetting`] when a rule makes no sense for them, [`ScopeError::NoSuchAxis`] when it names an axis that the
+    /// stage lacks.
+    pub fn new(
+        stage: Box<dyn Stage>,
+        nosepiece: Box<dyn Nosepiece>,
+        rules: Rules,
+    ) -> Result<Self, ScopeError> {
+        let ids: Vec<ObjectiveId> = nosepiece
+            .objectives()
+            .iter()
+            .map(|o| o.id.clone())
+            .collect();
+        let ranges = rules.ranges(stage.info(), &ids)?;
+        Ok(Self {
+            stage,
+            nosepiece,
+            rules,
+            ranges,
+            begin: Mutex::new(()),
+            stops: AtomicU64::new(0),
+        })
+    }
+
+    /// What the stage is.
+    pub fn info(&self) -> &StageInfo {
+        self.stage.info()
+    }
+
+    /// The rules in force.
+    pub fn rules(&self) -> &Rules {
+        &self.rules
+    }
+
+    /// The limits for all objectives, one for each axis that the stage has.
+    pub fn ranges(&self) -> &[AxisRange] {
+        &self.ranges
+    }
+
+    /// The objectives there are.
+    pub fn objectives(&self) -> &[Objective] {
+        self.nosepiece.objectives()
+    }
+
+    /// The objective in the beam; `None` while turning or unknown.
+    pub fn current_objective(&self) -> Result<Option<ObjectiveId>, ScopeError> {
+        self.nosepiece.current()
+    }
+
+    /// Where the stage says it is.
+    pub fn position(&self) -> Result<StagePose, ScopeError> {
+        self.stage.position()
+    }
+
+    /// What the stage is doing.
+    pub fn poll(&self) -> Result<Motion, ScopeError> {
+        self.stage.poll()
+    }
+
+    /// What the nosepiece is doing.
+    pub fn poll_nosepiece(&self) -> Result<Motion, ScopeError> {
+        self.nosepiece.poll()
+    }
+
+    /// Stops stage and nosepiece at once, from any thread. Harmless when nothing moves.
+    ///
+    /// # Errors
+    /// What the devices report; both were told all the same.
+    pub fn stop(&self) -> Result<(), ScopeError> {
+        self.stops.fetch_add(1, Ordering::SeqCst);
+        let stage = self.stage.stop();
+        self.nosepiece.stop()?;
+        stage
+    }
+
+    /// Whether the stage may stand there, with the objective that is in the beam: limits, workspace, zones. The way there is
+    /// judged when the move begins.
+    ///
+    /// # Errors
+    /// [`ScopeError::OutsideLimits`], [`ScopeError::OutsideWorkspace`], [`ScopeError::TooClose`], [`ScopeError::NoSuchAxis`] or
+    /// [`ScopeError::NotFinite`].
+    pub fn check(&self, to: &StagePose) -> Result<(), ScopeError> {
+        self.check_numbers(to)?;
+        let here = match self.needs_place() {
+            true => self.stage.position()?,
+            false => StagePose::default(),
+        };
+        self.check_place(&here, to)
+    }
+
+    /// Starts a move if the rules allow it.
+    ///
+    /// # Errors
+    /// Those of [`MotionGate::check`], [`ScopeError::StepTooLarge`], [`ScopeError::Busy`] while stage or nosepiece move,
+    /// [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report. Unless it is one of the stage's
+    /// own faults, nothing moved.
+    pub fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
+        self.check_numbers(to)?;
+        let _begin = self.begin();
+        let stops = self.stops.load(Ordering::SeqCst);
+        if self.nosepiece.poll()? == Motion::Moving {
+            return Err(ScopeError::Busy {
+                device: "nosepiece",
+            });
+        }
+        if self.stage.poll()? == Motion::Moving {
+            return Err(ScopeError::Busy { device: "stage" });
+        }
+        if self.needs_place() {
+            let here = self.stage.position()?;
+            self.check_place(&here, to)?;
+            self.check_way(&here, to)?;
+        } else {
+            self.check_place(&StagePose::default(), to)?;
+        }
+        self.stage.start_move(to)?;
+        self.stopped_meanwhile(stops)
+    }
+
+    /// Starts to change the objective if the rules allow it.
+    ///
+    /// # Errors
+    /// [`ScopeError::NoSuchObjective`], [`ScopeError::NotRetracted`], [`ScopeError::Busy`] while stage or nosepiece move,
+    /// [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report.
+    pub fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
+        self.objective(to)?;
+        let _begin = self.begin();
+        let stops = self.stops.load(Ordering::SeqCst);
+        if self.stage.poll()? == Motion::Moving {
+            return Err(ScopeError::Busy { device: "stage" });
+        }
+        if self.nosepiece.poll()? == Motion::Moving {
+            return Err(ScopeError::Busy {
+                device: "nosepiece",
+            });
+        }
+        if let ChangeRule::Retracted { z, .. } = self.rules.change {
+            let here = self
+                .stage
+                .position()?
+                .si(Axis::Z)
+                .ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
+            if !at_most(self.positive_z().nearer_by(here, z), SAME_HEIGHT_M) {
+                return Err(ScopeError::NotRetracted {
+                    at_um: here * 1e6,
+                    needed_um: z * 1e6,
+                });
+            }
+        }
+        self.nosepiece.start_change(to)?;
+        self.stopped_meanwhile(stops)
+    }
+
+    /// The data of one objective.
+    ///
+    /// # Errors
+    /// [`ScopeError::NoSuchObjective`].
+    pub fn objective(&self, id: &ObjectiveId) -> Result<&Objective, ScopeError> {
+        let all = self.objectives();
+        all.iter()
+            .find(|o| o.id == *id)
+            .ok_or_else(|| ScopeError::NoSuchObjective {
+                asked: id.clone(),
+                available: all
+                    .iter()
+                    .map(|o| o.id.0.as_str())
+                    .collect::<Vec<_>>()
+                    .join(", "),
+            })
+    }
+
+    pub(crate) fn positive_z(&self) -> PositiveZ {
+        self.info().positive_z
+    }
+
+    fn begin(&self) -> MutexGuard<'_, ()> {
+        // The lock guards no data: whoever panicked under it left none half written.
+        self.begin.lock().unwrap_or_else(|e| e.into_inner())
+    }
+
+    /// A stop that came between the check and the beginning of a move may have found nothing to stop.
+    fn stopped_meanwhile(&self, stops: u64) -> Result<(), ScopeError> {
+        if self.stops.load(Ordering::SeqCst) == stops {
+            return Ok(());
+        }
+        self.stop()?;
+        Err(ScopeError::Interrupted {
+            at: self.stage.position().ok(),
+        })
+    }
+
+    /// Whether a rule looks at more than the axes that are asked to move.
+    fn needs_place(&self) -> bool {
+        self.rules.workspace != Workspace::Box
+            || !self.rules.zones.is_empty()
+            || !self.rules.largest_steps.is_empty()
+    }
+
+    fn check_numbers(&self, to: &StagePose) -> Result<(), ScopeError> {
+        for axis in Axis::ALL {
+            let Some(asked) = to.si(axis) else { continue };
+            if self.info().axis(axis).is_none() {
+                return Err(ScopeError::NoSuchAxis { axis });
+            }
+            if !asked.is_finite() {
+                return Err(ScopeError::NotFinite { axis });
+            }
+        }
+        Ok(())
+    }
+
+    /// Objectives that may be in the beam: all of them when nobody knows.
+    fn in_beam(&self) -> Result<Vec<ObjectiveId>, ScopeError> {
+        Ok(match self.nosepiece.current()? {
+            Some(id) => vec![id],
+            None => self.objectives().iter().map(|o| o.id.clone()).collect(),
+        })
+    }
+
+    fn check_place(&self, here: &StagePose, to: &StagePose) -> Result<(), ScopeError> {
+        within(&self.ranges, to)?;
+        let narrows = !self.rules.objective_limits.is_empty() || !self.rules.zones.is_empty();
+        let in_beam = if narrows { self.in_beam()? } else { Vec::new() };
+        for id in &in_beam {
+            if let Some(limits) = self.rules.objective_limits.get(id) {
+                within(&narrowed(&self.ranges, limits, self.info())?, to)?;
+            }
+        }
+        if self.rules.workspace == Workspace::Ellipsoid {
+            let share = |axis: &crate::AxisInfo| {
+                let at = to.si(axis.axis).or(here.si(axis.axis));
+                let (middle, half) = ((axis.max + axis.min) / 2.0, (axis.max - axis.min) / 2.0);
+                at.map(|at| ((at - middle) / half).powi(2))
+            };
+            // An axis whose place is not known may be anywhere.
+            let load = self
+                .info()
+                .axes
+                .iter()
+                .map(|axis| share(axis).unwrap_or(f64::INFINITY))
+                .sum::<f64>()
+                .sqrt();
+            if !at_most(load, 1.0) {
+                return Err(ScopeError::OutsideWorkspace { share: load });
+            }
+        }
+        let Some(z) = to.si(Axis::Z).or(here.si(Axis::Z)) else {
+            return Ok(());
+        };
+        let at = |axis| to.si(axis).or(here.si(axis));
+        for zone in self.zones_for(&in_beam) {
+            let over = reaches(zone.x, [at(Axis::X), at(Axis::X)])
+                && reaches(zone.y, [at(Axis::Y), at(Axis::Y)]);
+            if over {
+                self.clear(zone, z)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The axes may go one after the other, in any order: the whole box between start and goal counts.
+    fn check_way(&self, here: &StagePose, to: &StagePose) -> Result<(), ScopeError> {
+        let goes = |axis: Axis| to.si(axis).is_some_and(|goal| Some(goal) != here.si(axis));
+        let z = |pose: &StagePose| pose.si(Axis::Z);
+        let retreat = !goes(Axis::X)
+            && !goes(Axis::Y)
+            && z(here)
+                .zip(z(to))
+                .is_some_and(|(from, goal)| self.positive_z().nearer_by(goal, from) <= 0.0);
+        for largest in &self.rules.largest_steps {
+            let axis = largest.axis;
+            let Some(goal) = to.si(axis) else { continue };
+            let step = here
+                .si(axis)
+                .map_or(f64::INFINITY, |from| (goal - from).abs());
+            let retreats = retreat && axis == Axis::Z;
+            if !retreats && !at_most(step, largest.step) {
+                return Err(ScopeError::StepTooLarge {
+                    axis,
+                    step: axis.to_display(step),
+                    largest: axis.to_display(largest.step),
+                });
+            }
+        }
+        if retreat {
+            // Away from the specimen is the way out of everything.
+            return Ok(());
+        }
+        let (Some(from), Some(goal)) = (z(here), z(to).or(z(here))) else {
+            return Ok(());
+        };
+        let nearest = match self.positive_z().nearer_by(from, goal) > 0.0 {
+            true => from,
+            false => goal,
+        };
+        let both = |axis| [here.si(axis), to.si(axis).or(here.si(axis))];
+        for zone in self.zones_for(&self.in_beam()?) {
+            if reaches(zone.x, both(Axis::X)) && reaches(zone.y, both(Axis::Y)) {
+                self.clear(zone, nearest)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn zones_for<'a>(&'a self, in_beam: &'a [ObjectiveId]) -> impl Iterator<Item = &'a Zone> {
+        self.rules.zones.iter().filter(move |zone| {
+            zone.objectives.is_empty() || zone.objectives.iter().any(|id| in_beam.contains(id))
+        })
+    }
+
+    fn clear(&self, zone: &Zone, z: f64) -> Result<(), ScopeError> {
+        if at_most(self.positive_z().nearer_by(z, zone.closest_z), 0.0) {
+            return Ok(());
+        }
+        Err(ScopeError::TooClose {
+            zone: zone.name.clone(),
+            z_um: z * 1e6,
+            closest_um: zone.closest_z * 1e6,
+        })
+    }
+}
+
+/// What is no number is not known to be small.
+fn at_most(value: f64, limit: f64) -> bool {
+    value <= limit
+}
+
+/// Whether anything between two coordinates lies in a range; unknown ones may lie anywhere.
+fn reaches(range: [f64; 2], between: [Option<f64>; 2]) -> bool {
+    let [Some(a), Some(b)] = between else {
+        return true;
+    };
+    !(a.max(b) < range[0] || a.min(b) > range[1])
+}
+
+fn within(ranges: &[AxisRange], to: &StagePose) -> Result<(), ScopeError> {
+    for range in ranges {
+        let Some(asked) = to.si(range.axis) else {
+            continue;
+        };
+        if !(asked >= range.min && asked <= range.max) {
+            return Err(ScopeError::OutsideLimits {
+                axis: range.axis,
+                asked: range.axis.to_display(asked),
+                min: range.axis.to_display(range.min),
+                max: range.axis.to_display(range.max),
+            });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,554 @@
+//! The motion gate against devices that write down every rule that is broken, whatever is asked and whatever fails.
+
+use proptest::prelude::*;
+use scopeservo_scope::{
+    Axis, AxisInfo, AxisRange, ChangeRule, Kinematics, LargestStep, Limits, Motion, MotionGate,
+    Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose,
+    Workspace, Zone,
+};
+use std::collections::BTreeMap;
+use std::sync::mpsc;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+const AXES: [Axis; 3] = [Axis::X, Axis::Y, Axis::Z];
+const TRAVEL: f64 = 1e-2;
+const LIMIT: f64 = 8e-3;
+/// Of the strongest objective, along z.
+const NARROW: f64 = 2e-3;
+const RETRACTED: f64 = -5e-3;
+const STEP: f64 = 6e-3;
+const CLAMP: [f64; 2] = [4e-3, 6e-3];
+const CLAMP_Z: f64 = -3e-3;
+/// Nearer than this two heights are the same to the gate.
+const SLACK: f64 = 1.1e-6;
+const OBJECTIVES: [&str; 2] = ["10x", "40x"];
+
+/// A move: from where, to where, and how far on the way each axis is. They go at speeds of their own.
+struct Way {
+    from: [f64; 3],
+    to: [f64; 3],
+    done: [f64; 3],
+}
+
+/// What really happens. It knows nothing of the gate.
+struct World {
+    at: [f64; 3],
+    way: Option<Way>,
+    stopped: bool,
+    objective: Option<usize>,
+    turning: Option<(usize, u32)>,
+    fault: Option<Fault>,
+    broken: Vec<String>,
+    begun: u32,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Fault {
+    Poll,
+    Position,
+    Start,
+    NosepiecePoll,
+    NosepieceCurrent,
+}
+
+impl World {
+    fn new() -> Self {
+        Self {
+            at: [0.0, 0.0, RETRACTED],
+            way: None,
+            stopped: false,
+            objective: Some(0),
+            turning: None,
+            fault: None,
+            broken: Vec::new(),
+            begun: 0,
+        }
+    }
+
+    fn look(&mut self) {
+        let [x, y, z] = self.at;
+        for (axis, v) in AXES.iter().zip(self.at) {
+            if v.abs() > LIMIT + 1e-12 {
+                self.broken.push(format!("{axis} at {v}"));
+            }
+        }
+        let in_clamp = |v: f64| (CLAMP[0]..=CLAMP[1]).contains(&v);
+        if in_clamp(x) && in_clamp(y) && z > CLAMP_Z + 1e-12 {
+            self.broken.push(format!("in the clamp at {:?}", self.at));
+        }
+        if self.turning.is_some() && z > RETRACTED + SLACK {
+            self.broken.push(format!("turns at z = {z}"));
+        }
+        if self.turning.is_some() && self.way.is_some() {
+            self.broken.push("moves while it turns".into());
+        }
+    }
+
+    fn tick(&mut self) {
+        if let Some(way) = &mut self.way {
+            for (k, speed) in [0.3, 0.5, 0.2].into_iter().enumerate() {
+                way.done[k] += speed;
+                self.at[k] = match way.done[k] < 1.0 {
+                    true => way.from[k] + (way.to[k] - way.from[k]) * way.done[k],
+                    false => way.to[k],
+                };
+            }
+            if way.done.iter().all(|&done| done >= 1.0) {
+                self.way = None;
+            }
+        }
+        if let Some((to, left)) = self.turning {
+            self.turning = (left > 1).then_some((to, left - 1));
+            if left <= 1 {
+                self.objective = Some(to);
+            }
+        }
+        self.look();
+    }
+
+    fn fails(&mut self, fault: Fault) -> Result<(), ScopeError> {
+        if self.fault == Some(fault) {
+            self.fault = None;
+            return Err(ScopeError::Device {
+                device: "stage",
+                detail: format!("{fault:?}"),
+            });
+        }
+        Ok(())
+    }
+}
+
+#[derive(Clone)]
+struct Devices {
+    world: Arc<Mutex<World>>,
+    info: StageInfo,
+    objectives: Vec<Objective>,
+}
+
+impl Devices {
+    fn new() -> Self {
+        let axis = |&axis: &Axis| AxisInfo {
+            axis,
+            min: -TRAVEL,
+            max: TRAVEL,
+            repeatability: 0.0,
+        };
+        let objective = |id: &&str| Objective {
+            id: ObjectiveId((*id).into()),
+            magnification: 100.0,
+            numerical_aperture: 0.25,
+            nominal_um_per_px: 1.0,
+        };
+        Self {
+            world: Arc::new(Mutex::new(World::new())),
+            info: StageInfo {
+                name: "recorder".into(),
+                axes: AXES.iter().map(axis).collect(),
+                kinematics: Kinematics::SpecimenXyOnTop,
+                positive_z: PositiveZ::Closer,
+            },
+            objectives: OBJECTIVES.iter().map(objective).collect(),
+        }
+    }
+
+    fn gate(&self, rules: Rules) -> MotionGate {
+        MotionGate::new(Box::new(self.clone()), Box::new(self.clone()), rules).unwrap()
+    }
+
+    fn world(&self) -> std::sync::MutexGuard<'_, World> {
+        self.world.lock().unwrap()
+    }
+}
+
+impl Stage for Devices {
+    fn info(&self) -> &StageInfo {
+        &self.info
+    }
+    fn position(&self) -> Result<StagePose, ScopeError> {
+        let mut world = self.world();
+        world.fails(Fault::Position)?;
+        Ok(pose(world.at))
+    }
+    fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
+        let mut world = self.world();
+        world.fails(Fault::Start)?;
+        if world.way.is_some() {
+            world.broken.push("a move on top of a move".into());
+        }
+        let from = world.at;
+        let goal = [0, 1, 2].map(|k| to.si(AXES[k]).unwrap_or(from[k]));
+        let retreat = goal[0] == from[0] && goal[1] == from[1] && goal[2] <= from[2];
+        for k in 0..3 {
+            if (goal[k] - from[k]).abs() > STEP && !(retreat && k == 2) {
+                world
+                    .broken
+                    .push(format!("a step from {from:?} to {goal:?}"));
+            }
+        }
+        if world.objective == Some(1) && to.si(Axis::Z).is_some_and(|z| z > NARROW) {
+            world.broken.push("40x beyond its own limit".into());
+        }
+        world.way = Some(Way {
+            from,
+            to: goal,
+            done: [0.0; 3],
+        });
+        world.stopped = false;
+        world.begun += 1;
+        world.look();
+        Ok(())
+    }
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        let mut world = self.world();
+        world.fails(Fault::Poll)?;
+        Ok(match (&world.way, world.stopped) {
+            (Some(_), _) => Motion::Moving,
+            (None, true) => Motion::Stopped,
+            (None, false) => Motion::Settled,
+        })
+    }
+    fn stop(&self) -> Result<(), ScopeError> {
+        let mut world = self.world();
+        world.stopped |= world.way.take().is_some();
+        Ok(())
+    }
+}
+
+impl Nosepiece for Devices {
+    fn objectives(&self) -> &[Objective] {
+        &self.objectives
+    }
+    fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
+        let mut world = self.world();
+        world.fails(Fault::NosepieceCurrent)?;
+        Ok(world.objective.map(|k| self.objectives[k].id.clone()))
+    }
+    fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
+        let mut world = self.world();
+        let Some(index) = OBJECTIVES.iter().position(|id| *id == to.0) else {
+            world.broken.push("an unknown objective".into());
+            return Ok(());
+        };
+        if world.turning.is_some() {
+            world.broken.push("a change on top of a change".into());
+        }
+        world.objective = None;
+        world.turning = Some((index, 3));
+        world.begun += 1;
+        world.look();
+        Ok(())
+    }
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        let mut world = self.world();
+        world.fails(Fault::NosepiecePoll)?;
+        Ok(match (world.turning, world.objective) {
+            (Some(_), _) => Motion::Moving,
+            (None, Some(_)) => Motion::Settled,
+            (None, None) => Motion::Stopped,
+        })
+    }
+    fn stop(&self) -> Result<(), ScopeError> {
+        self.world().turning = None;
+        Ok(())
+    }
+}
+
+fn pose(at: [f64; 3]) -> StagePose {
+    (0..3).fold(StagePose::default(), |pose, k| pose.with_si(AXES[k], at[k]))
+}
+
+fn z(at: f64) -> StagePose {
+    StagePose::default().with_si(Axis::Z, at)
+}
+
+fn id(name: &str) -> ObjectiveId {
+    ObjectiveId(name.into())
+}
+
+fn rules() -> Rules {
+    let range = |axis, min, max| AxisRange { axis, min, max };
+    Rules {
+        limits: Limits {
+            ranges: AXES.map(|axis| range(axis, -LIMIT, LIMIT)).into(),
+        },
+        objective_limits: BTreeMap::from([(
+            id("40x"),
+            Limits {
+                ranges: vec![range(Axis::Z, -LIMIT, NARROW)],
+            },
+        )]),
+        largest_steps: AXES.map(|axis| LargestStep { axis, step: STEP }).into(),
+        workspace: Workspace::Box,
+        zones: vec![Zone {
+            name: "the clamp".into(),
+            x: CLAMP,
+            y: CLAMP,
+            closest_z: CLAMP_Z,
+            objectives: Vec::new(),
+        }],
+        change: ChangeRule::Retracted {
+            z: RETRACTED,
+            margin: 0.0,
+        },
+    }
+}
+
+#[derive(Debug, Clone)]
+enum Command {
+    Move([Option<f64>; 3]),
+    Change(&'static str),
+    Stop,
+    Wait(u32),
+    Fault(Fault),
+}
+
+fn place() -> impl Strategy<Value = Option<f64>> {
+    // Where the rules have their edges, and what is no number.
+    let edges = vec![
+        LIMIT, -LIMIT, RETRACTED, NARROW, CLAMP[0], CLAMP[1], CLAMP_Z, 0.0, 5e-3,
+    ];
+    let odd = vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX];
+    prop_oneof![
+        2 => Just(None),
+        6 => (-1.2 * TRAVEL..1.2 * TRAVEL).prop_map(Some),
+        4 => prop::sample::select(edges).prop_map(Some),
+        1 => prop::sample::select(odd).prop_map(Some),
+    ]
+}
+
+fn command() -> impl Strategy<Value = Command> {
+    let faults = vec![
+        Fault::Poll,
+        Fault::Position,
+        Fault::Start,
+        Fault::NosepiecePoll,
+        Fault::NosepieceCurrent,
+    ];
+    prop_oneof![
+        8 => [place(), place(), place()].prop_map(Command::Move),
+        2 => Just(Command::Move([None, None, Some(RETRACTED)])),
+        4 => prop::sample::select(vec!["10x", "40x", "100x"]).prop_map(Command::Change),
+        2 => Just(Command::Stop),
+        6 => (1u32..9).prop_map(Command::Wait),
+        2 => prop::sample::select(faults).prop_map(Command::Fault),
+    ]
+}
+
+/// Carries out a command. What is refused must not have begun anything.
+fn obey(gate: &MotionGate, devices: &Devices, command: &Command) {
+    let before = devices.world().begun;
+    let answer = match command {
+        Command::Move(to) => {
+            let to = (0..3).fold(StagePose::default(), |pose, k| match to[k] {
+                Some(v) => pose.with_si(AXES[k], v),
+                None => pose,
+            });
+            gate.start_move(&to)
+        }
+        Command::Change(to) => gate.start_change(&id(to)),
+        Command::Stop => {
+            gate.stop().unwrap();
+            let world = devices.world();
+            assert!(world.way.is_none() && world.turning.is_none());
+            return;
+        }
+        Command::Wait(ticks) => return (0..*ticks).for_each(|_| devices.world().tick()),
+        Command::Fault(fault) => return devices.world().fault = Some(*fault),
+    };
+    if answer.is_err() {
+        assert_eq!(devices.world().begun, before, "{answer:?}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: std::env::var("SCOPESERVO_GATE_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(100_000),
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
+    #[test]
+    fn no_sequence_of_commands_and_faults_breaks_a_rule(
+        commands in prop::collection::vec(command(), 1..40)
+    ) {
+        let devices = Devices::new();
+        let gate = devices.gate(rules());
+        for command in &commands {
+            obey(&gate, &devices, command);
+            prop_assert!(devices.world().broken.is_empty(), "{:?}", devices.world().broken);
+        }
+    }
+}
+
+#[test]
+fn the_recorder_would_notice() {
+    // The same devices without the gate: each rule can be broken, and is written down.
+    let devices = Devices::new();
+    let stage: &dyn Stage = &devices;
+    let settle = || (0..8).for_each(|_| devices.world().tick());
+    stage.start_move(&pose([9e-3, 0.0, 0.0])).unwrap();
+    Nosepiece::start_change(&devices, &id("40x")).unwrap();
+    settle();
+    stage.start_move(&pose([5e-3, 5e-3, 0.0])).unwrap();
+    settle();
+    stage.start_move(&pose([0.0, 0.0, 5e-3])).unwrap();
+    let broken = devices.world().broken.join("; ");
+    for rule in [
+        "x at",
+        "in the clamp",
+        "moves while it turns",
+        "turns at",
+        "a step",
+        "own limit",
+    ] {
+        assert!(broken.contains(rule), "{rule}: {broken}");
+    }
+}
+
+#[test]
+fn threads_that_ask_and_stop_at_once_neither_break_rules_nor_hang() {
+    let devices = Devices::new();
+    let gate = Arc::new(devices.gate(rules()));
+    let (done, ended) = mpsc::channel();
+    for thread in 0..6u64 {
+        let (gate, devices, done) = (gate.clone(), devices.clone(), done.clone());
+        std::thread::spawn(move || {
+            let mut state = thread + 1;
+            for _ in 0..20_000 {
+                // Xorshift.
+                state ^= state << 13;
+                state ^= state >> 7;
+                state ^= state << 17;
+                let at = |k: u64| ((state >> (8 * k)) % 200) as f64 * 1e-4 - 1e-2;
+                match state % 5 {
+                    0 => drop(gate.start_move(&pose([at(0), at(1), at(2)]))),
+                    1 => drop(gate.start_move(&z(RETRACTED))),
+                    2 => drop(gate.start_change(&id(OBJECTIVES[(state >> 9) as usize % 2]))),
+                    3 => gate.stop().unwrap(),
+                    _ => devices.world().tick(),
+                }
+            }
+            done.send(()).unwrap();
+        });
+    }
+    for _ in 0..6 {
+        ended
+            .recv_timeout(Duration::from_secs(120))
+            .expect("no thread hangs");
+    }
+    let world = devices.world();
+    assert!(world.broken.is_empty(), "{:?}", world.broken);
+    assert!(world.begun > 100, "{}", world.begun);
+}
+
+#[test]
+fn each_refusal_says_which_rule_and_what_to_do() {
+    let devices = Devices::new();
+    let gate = devices.gate(rules());
+    let settle = || (0..8).for_each(|_| devices.world().tick());
+    let go = |at: [f64; 3]| {
+        gate.start_move(&pose(at)).unwrap();
+        settle();
+    };
+    let said = |to: [f64; 3]| gate.start_move(&pose(to)).unwrap_err();
+    let far = said([9e-3, 0.0, 0.0]);
+    assert!(
+        matches!(far, ScopeError::OutsideLimits { axis: Axis::X, .. }),
+        "{far}"
+    );
+    let long = said([7e-3, 0.0, -5e-3]);
+    assert!(
+        matches!(long, ScopeError::StepTooLarge { axis: Axis::X, .. }),
+        "{long}"
+    );
+    assert_eq!(
+        said([f64::NAN, 0.0, 0.0]).to_string(),
+        ScopeError::NotFinite { axis: Axis::X }.to_string()
+    );
+    let turn = StagePose::default().with_si(Axis::Rz, 0.0);
+    let missing = gate.start_move(&turn);
+    assert_eq!(missing, Err(ScopeError::NoSuchAxis { axis: Axis::Rz }));
+
+    go([0.0, 5e-3, -4e-3]);
+    let close = said([5e-3, 5e-3, -2e-3]);
+    assert!(
+        matches!(&close, ScopeError::TooClose { zone, .. } if zone == "the clamp"),
+        "{close}"
+    );
+    // Across the clamp and down behind it: the axes do not go in step, so the way counts.
+    go([3e-3, 5e-3, -4e-3]);
+    let across = said([7e-3, 5e-3, 0.0]);
+    assert!(matches!(across, ScopeError::TooClose { .. }), "{across}");
+    go([7e-3, 5e-3, -4e-3]);
+
+    let low = gate.start_change(&id("40x")).unwrap_err();
+    assert!(low.to_string().contains("Retract first"), "{low}");
+    go([7e-3, 5e-3, RETRACTED]);
+    let unknown = gate.start_change(&id("100x")).unwrap_err();
+    assert!(unknown.to_string().contains("10x, 40x"), "{unknown}");
+    gate.start_change(&id("40x")).unwrap();
+    let device = "nosepiece";
+    assert_eq!(said([7e-3, 5e-3, RETRACTED]), ScopeError::Busy { device });
+    settle();
+    go([7e-3, 5e-3, 1e-3]);
+    let narrow = said([7e-3, 5e-3, 3e-3]);
+    assert!(
+        matches!(narrow, ScopeError::OutsideLimits { axis: Axis::Z, .. }),
+        "{narrow}"
+    );
+    // A retreat may be longer than a step, and nothing else.
+    gate.start_move(&z(-LIMIT)).unwrap();
+    let device = "stage";
+    assert_eq!(said([7e-3, 5e-3, 0.0]), ScopeError::Busy { device });
+    assert!(
+        devices.world().broken.is_empty(),
+        "{:?}",
+        devices.world().broken
+    );
+}
+
+#[test]
+fn an_ellipsoid_gives_each_axis_what_the_others_leave() {
+    let devices = Devices::new();
+    let gate = devices.gate(Rules {
+        workspace: Workspace::Ellipsoid,
+        ..Rules::travel_only(ChangeRule::Anywhere)
+    });
+    // z is at 5 mm of 10: a quarter is used.
+    let x = |at| StagePose::default().with_si(Axis::X, at);
+    gate.check(&x(8.6e-3)).unwrap();
+    let most = gate.check(&x(8.7e-3));
+    assert!(
+        matches!(most, Err(ScopeError::OutsideWorkspace { share }) if share > 1.0 && share < 1.01),
+        "{most:?}"
+    );
+    gate.check(&pose([9.9e-3, 0.0, 0.0])).unwrap();
+}
+
+#[test]
+fn rules_that_make_no_sense_are_refused() {
+    type Breakage = fn(&mut Rules);
+    let nonsense: [(&str, Breakage); 6] = [
+        ("no room", |r| r.limits.ranges[0].min = 9e-3),
+        ("finite", |r| r.limits.ranges[0].max = f64::NAN),
+        ("no objective here", |r| {
+            r.objective_limits.insert(id("63x"), Limits::default());
+        }),
+        ("largest step", |r| r.largest_steps[0].step = 0.0),
+        ("zone 'the clamp'", |r| r.zones[0].x = [1.0, 0.0]),
+        ("outside the limits of z", |r| {
+            r.change = ChangeRule::Retracted {
+                z: -9e-3,
+                margin: 0.0,
+            };
+        }),
+    ];
+    for (word, f) in nonsense {
+        let devices = Devices::new();
+        let mut rules = rules();
+        f(&mut rules);
+        let answer = MotionGate::new(Box::new(devices.clone()), Box::new(devices), rules);
+        let said = answer.err().expect(word).to_string();
+        assert!(said.contains(word), "{word}: {said}");
+    }
+}
