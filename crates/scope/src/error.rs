@@ -141,7 +141,9 @@ pub enum ScopeError {
         seconds: f64,
     },
     /// The connection to the device is gone.
-    #[error("the {device} is lost: {detail}. Check its power, its cable and its driver, then start again")]
+    #[error(
+        "the {device} is lost: {detail}. Check its power, its cable and its driver, then start again"
+    )]
     Lost {
         /// Which device.
         device: &'static str,

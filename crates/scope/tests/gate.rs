@@ -1,6 +1,7 @@
 //! The motion gate against devices that write down every rule that is broken, whatever is asked and whatever fails.
 
 use proptest::prelude::*;
+use proptest::test_runner::{Config, TestRunner};
 use scopeservo_scope::{
     Axis, AxisInfo, AxisRange, ChangeRule, Kinematics, LargestStep, Limits, Motion, MotionGate,
     Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose,
@@ -361,23 +362,27 @@ fn obey(gate: &MotionGate, devices: &Devices, command: &Command) {
     }
 }
 
-proptest! {
-    #![proptest_config(ProptestConfig {
-        cases: std::env::var("SCOPESERVO_GATE_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(100_000),
+#[test]
+fn no_sequence_of_commands_and_faults_breaks_a_rule() {
+    let cases = std::env::var("SCOPESERVO_GATE_CASES");
+    let cases = cases.ok().and_then(|n| n.parse().ok()).unwrap_or(100_000);
+    let mut runner = TestRunner::new(Config {
+        cases,
         failure_persistence: None,
-        ..ProptestConfig::default()
-    })]
-    #[test]
-    fn no_sequence_of_commands_and_faults_breaks_a_rule(
-        commands in prop::collection::vec(command(), 1..40)
-    ) {
+        ..Config::default()
+    });
+    let sequences = prop::collection::vec(command(), 1..40);
+    let answer = runner.run(&sequences, |commands| {
         let devices = Devices::new();
         let gate = devices.gate(rules());
         for command in &commands {
             obey(&gate, &devices, command);
-            prop_assert!(devices.world().broken.is_empty(), "{:?}", devices.world().broken);
+            let world = devices.world();
+            prop_assert!(world.broken.is_empty(), "{:?}", world.broken);
         }
-    }
+        Ok(())
+    });
+    answer.unwrap();
 }
 
 #[test]

@@ -1,0 +1,258 @@
+//! Starting or finding a driver, and what it speaks for.
+
+use crate::hello::Hello;
+use crate::link::{CallError, Link};
+use crate::message::{Call, Code, PROTOCOL};
+use crate::remote::{HELLO, Remote, RemoteCamera, RemoteNosepiece, RemoteStage, light_level};
+use crate::secret::Secret;
+use scopeservo_scope::{Camera, Clock, Nosepiece, ScopeError, Stage};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::time::Duration;
+use thiserror::Error;
+
+/// How long a connection may take to be made.
+const CONNECT: Duration = Duration::from_secs(5);
+
+/// Why there is no driver.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum DriverError {
+    /// The program could not be started.
+    #[error(
+        "the driver '{command}' cannot be started: {source}. Check that it is installed and can be executed"
+    )]
+    Spawn {
+        /// The program.
+        command: String,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Nobody answers at the address.
+    #[error("no driver answers at {address}: {source}. Check that it runs, and the address")]
+    Connect {
+        /// Where.
+        address: String,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// It did not say hello as the protocol asks.
+    #[error("the driver '{driver}' did not say hello: {detail}")]
+    Hello {
+        /// Which.
+        driver: String,
+        /// What it did instead.
+        detail: String,
+    },
+    /// It wants a secret.
+    #[error("the driver at {driver} asks for a secret: name the file that holds it")]
+    NeedsSecret {
+        /// Which.
+        driver: String,
+    },
+    /// What it says of itself makes no sense.
+    #[error("the driver '{driver}' says something impossible of its {device}: {detail}")]
+    Nonsense {
+        /// Which.
+        driver: String,
+        /// Which device.
+        device: &'static str,
+        /// What.
+        detail: String,
+    },
+}
+
+/// A driver that has said hello.
+pub struct Driver {
+    link: Link,
+    hello: Hello,
+    shown: String,
+}
+
+/// The devices that a driver speaks for. Each keeps the connection; the last one that is dropped ends it.
+pub struct Devices {
+    /// The stage, if there is one.
+    pub stage: Option<Box<dyn Stage>>,
+    /// The camera, if there is one.
+    pub camera: Option<Box<dyn Camera>>,
+    /// The nosepiece, if there is one.
+    pub nosepiece: Option<Box<dyn Nosepiece>>,
+    /// The light, if there is one.
+    pub light: Option<Light>,
+}
+
+/// A light whose level can be set.
+pub struct Light(Remote);
+
+impl Light {
+    /// The level in force, 0 to 1.
+    ///
+    /// # Errors
+    /// What the driver reports.
+    pub fn level(&self) -> Result<f64, ScopeError> {
+        light_level(&self.0, None)
+    }
+
+    /// Sets the level and returns the one in force.
+    ///
+    /// # Errors
+    /// [`ScopeError::BadSetting`] outside 0 to 1, and what the driver reports.
+    pub fn set_level(&self, level: f64) -> Result<f64, ScopeError> {
+        if !(0.0..=1.0).contains(&level) {
+            return Err(ScopeError::BadSetting {
+                what: format!("a light level is 0 to 1; {level} was asked for"),
+            });
+        }
+        light_level(&self.0, Some(level))
+    }
+}
+
+impl Driver {
+    /// Starts a program and says hello. What it writes to standard error goes to ours.
+    ///
+    /// # Errors
+    /// [`DriverError`].
+    pub fn spawn(program: &str, arguments: &[String]) -> Result<Self, DriverError> {
+        let failed = |source| DriverError::Spawn {
+            command: program.into(),
+            source,
+        };
+        let mut command = Command::new(program);
+        command
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped());
+        // Ctrl-C is ours to handle: the driver shall still be there to stop what moves.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let child = command.spawn().map_err(failed)?;
+        Self::greet(Link::child(child).map_err(failed)?, program.into(), None)
+    }
+
+    /// Connects to a driver that runs already, and says hello.
+    ///
+    /// # Errors
+    /// [`DriverError`].
+    pub fn connect(address: &str, secret: Option<&Secret>) -> Result<Self, DriverError> {
+        let failed = |source| DriverError::Connect {
+            address: address.into(),
+            source,
+        };
+        let mut last = std::io::ErrorKind::AddrNotAvailable.into();
+        for socket in address.to_socket_addrs().map_err(failed)? {
+            match TcpStream::connect_timeout(&socket, CONNECT) {
+                Ok(stream) => {
+                    let link = Link::tcp(stream).map_err(failed)?;
+                    return Self::greet(link, address.into(), secret);
+                }
+                Err(error) => last = error,
+            }
+        }
+        Err(failed(last))
+    }
+
+    fn greet(link: Link, shown: String, secret: Option<&Secret>) -> Result<Self, DriverError> {
+        let hello = |proof: Option<String>| {
+            let call = Call::Hello {
+                protocol: PROTOCOL,
+                client: concat!("scopeservo ", env!("CARGO_PKG_VERSION")).into(),
+                proof,
+            };
+            link.ask(call, 0, HELLO)
+        };
+        let bad = |detail: String| DriverError::Hello {
+            driver: shown.clone(),
+            detail,
+        };
+        let answer = match hello(None) {
+            Err(CallError::Said {
+                code: Code::Secret,
+                nonce,
+                ..
+            }) => {
+                let secret = secret.ok_or(DriverError::NeedsSecret {
+                    driver: shown.clone(),
+                })?;
+                let nonce =
+                    nonce.ok_or_else(|| bad("it wants a secret and gives no nonce".into()))?;
+                hello(Some(secret.proof(&nonce)))
+            }
+            answer => answer,
+        };
+        let reply = answer.map_err(|error| {
+            bad(match error {
+                CallError::Said { message, .. } => message,
+                CallError::Lost(reason) => reason,
+            })
+        })?;
+        let hello: Hello = serde_json::from_value(serde_json::Value::Object(reply.object))
+            .map_err(|error| bad(format!("its reply is not one: {error}")))?;
+        if hello.protocol != PROTOCOL {
+            return Err(bad(format!(
+                "it speaks version {} of the protocol, and this program {PROTOCOL}",
+                hello.protocol
+            )));
+        }
+        Ok(Self { link, hello, shown })
+    }
+
+    /// What it says of itself.
+    pub fn hello(&self) -> &Hello {
+        &self.hello
+    }
+
+    /// Finds the reference of the stage, which moves it: only with the user's consent. Returns when the move has begun.
+    ///
+    /// # Errors
+    /// What the driver reports.
+    pub fn start_homing(&self) -> Result<(), ScopeError> {
+        Remote::new(self.link.clone(), "stage")
+            .ask(Call::Home)
+            .map(drop)
+    }
+
+    /// Its devices. Time stamps of frames are on `clock`.
+    ///
+    /// # Errors
+    /// [`DriverError::Nonsense`].
+    pub fn devices(&self, clock: &Arc<dyn Clock>) -> Result<Devices, DriverError> {
+        let nonsense = |device| {
+            move |detail| DriverError::Nonsense {
+                driver: self.shown.clone(),
+                device,
+                detail,
+            }
+        };
+        let remote = |device| Remote::new(self.link.clone(), device);
+        let hello = &self.hello;
+        let stage = match &hello.stage {
+            Some(stage) => Some(Box::new(RemoteStage {
+                remote: remote("stage"),
+                info: stage.info().map_err(nonsense("stage"))?,
+            }) as Box<dyn Stage>),
+            None => None,
+        };
+        let camera = match &hello.camera {
+            Some(camera) => Some(Box::new(RemoteCamera {
+                remote: remote("camera"),
+                info: camera.info().map_err(nonsense("camera"))?,
+                clock: clock.clone(),
+            }) as Box<dyn Camera>),
+            None => None,
+        };
+        let nosepiece = match &hello.nosepiece {
+            Some(nosepiece) => Some(Box::new(RemoteNosepiece {
+                remote: remote("nosepiece"),
+                objectives: nosepiece.objectives().map_err(nonsense("nosepiece"))?,
+            }) as Box<dyn Nosepiece>),
+            None => None,
+        };
+        Ok(Devices {
+            stage,
+            camera,
+            nosepiece,
+            light: hello.light.as_ref().map(|_| Light(remote("light"))),
+        })
+    }
+}

@@ -1,0 +1,24 @@
+//! The driver protocol (docs/driver-protocol.md): a stage, camera, nosepiece or light in another program, behind the same contracts
+//! as any other, and ours for other programs.
+//!
+//! - [`Driver::spawn`] and [`Driver::connect`] start or find a driver; [`Driver::devices`] are what it speaks for. One that is silent,
+//!   dies or talks nonsense is stopped and every later call says so: nothing waits longer than the page's times.
+//! - [`serve`] speaks for devices of ours on any pair of streams, [`listen`] on a TCP port.
+//! - [`wire`] is the framing, with its limits; it reads and writes streams and knows no devices.
+
+mod client;
+mod hello;
+mod link;
+mod message;
+mod remote;
+mod secret;
+mod server;
+pub mod wire;
+
+pub use client::{Devices, Driver, DriverError, Light};
+pub use hello::{
+    AxisHello, CameraHello, Hello, LightHello, Moves, NosepieceHello, ObjectiveHello, StageHello,
+};
+pub use message::{Call, Code, PROTOCOL, Place};
+pub use secret::Secret;
+pub use server::{Offer, listen, serve};

@@ -1,0 +1,290 @@
+//! The connection to a driver: numbered requests, replies in any order, time-outs, and the end of it.
+
+use crate::message::{Call, Code, Request};
+use crate::wire::{self, Object};
+use scopeservo_scope::ScopeError;
+use std::collections::HashMap;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{Shutdown, TcpStream};
+use std::process::Child;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// How long a driver that was told to end may take for it before it is killed.
+const GRACE: Duration = Duration::from_millis(500);
+
+/// A reply that came.
+pub(crate) struct Reply {
+    pub(crate) object: Object,
+    pub(crate) bytes: Vec<u8>,
+    /// When its line had been read.
+    pub(crate) at: Instant,
+}
+
+/// What went wrong with one request.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum CallError {
+    /// The driver refused.
+    Said {
+        code: Code,
+        message: String,
+        nonce: Option<String>,
+    },
+    /// There is no connection any more.
+    Lost(String),
+}
+
+struct Waiting {
+    /// Bytes that the reply may announce.
+    bytes: usize,
+    answer: SyncSender<Result<Reply, String>>,
+}
+
+struct State {
+    waiting: HashMap<u64, Waiting>,
+    /// Why there is no connection any more.
+    lost: Option<String>,
+}
+
+/// What the connection is made of.
+enum End {
+    Child(Child),
+    Tcp(TcpStream),
+}
+
+struct Shared {
+    state: Mutex<State>,
+    /// `None` once closed, which the driver sees as the end of its input.
+    out: Mutex<Option<Box<dyn Write + Send>>>,
+    end: Mutex<Option<End>>,
+    next: AtomicU64,
+}
+
+/// A connection to a driver. Cheap to clone; dropping the last one says goodbye.
+#[derive(Clone)]
+pub(crate) struct Link {
+    shared: Arc<Shared>,
+    /// Counts the clones outside of the reading thread.
+    _goodbye: Arc<Goodbye>,
+}
+
+struct Goodbye(Arc<Shared>);
+
+impl Drop for Goodbye {
+    fn drop(&mut self) {
+        self.0.close("it was closed");
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // No panic leaves these half written.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Link {
+    pub(crate) fn child(mut child: Child) -> std::io::Result<Self> {
+        let (Some(input), Some(output)) = (child.stdin.take(), child.stdout.take()) else {
+            return Err(std::io::Error::other(
+                "the driver's streams are not connected",
+            ));
+        };
+        Ok(Self::start(
+            Box::new(output),
+            Box::new(input),
+            End::Child(child),
+        ))
+    }
+
+    pub(crate) fn tcp(stream: TcpStream) -> std::io::Result<Self> {
+        stream.set_nodelay(true)?;
+        // A peer that reads nothing must not keep a writer for ever.
+        stream.set_write_timeout(Some(Duration::from_secs(2)))?;
+        let (input, output) = (stream.try_clone()?, stream.try_clone()?);
+        Ok(Self::start(
+            Box::new(output),
+            Box::new(input),
+            End::Tcp(stream),
+        ))
+    }
+
+    fn start(from: Box<dyn Read + Send>, to: Box<dyn Write + Send>, end: End) -> Self {
+        let shared = Arc::new(Shared {
+            state: Mutex::new(State {
+                waiting: HashMap::new(),
+                lost: None,
+            }),
+            out: Mutex::new(Some(to)),
+            end: Mutex::new(Some(end)),
+            next: AtomicU64::new(1),
+        });
+        let reading = shared.clone();
+        std::thread::spawn(move || {
+            let reason = reading.read(&mut BufReader::new(from));
+            reading.close(&reason);
+        });
+        Self {
+            _goodbye: Arc::new(Goodbye(shared.clone())),
+            shared,
+        }
+    }
+
+    /// Asks, and waits for the reply for as long as the page says. `bytes` is what the reply may bring.
+    ///
+    /// A driver that does not answer in time is stopped and disconnected.
+    pub(crate) fn ask(
+        &self,
+        call: Call,
+        bytes: usize,
+        within: Duration,
+    ) -> Result<Reply, CallError> {
+        let shared = &*self.shared;
+        let id = shared.next.fetch_add(1, Ordering::SeqCst);
+        let (answer, reply) = sync_channel(1);
+        {
+            let mut state = lock(&shared.state);
+            if let Some(reason) = &state.lost {
+                return Err(CallError::Lost(reason.clone()));
+            }
+            state.waiting.insert(id, Waiting { bytes, answer });
+        }
+        let name = name_of(&call);
+        if let Err(error) = shared.write(&Request { id, call }) {
+            shared.close(&format!("nothing can be written to it: {error}"));
+        }
+        let reply = match reply.recv_timeout(within) {
+            Ok(Ok(reply)) => reply,
+            Ok(Err(reason)) => return Err(CallError::Lost(reason)),
+            Err(RecvTimeoutError::Timeout) => {
+                let seconds = within.as_secs_f64();
+                shared.close(&format!("it did not answer '{name}' within {seconds} s"));
+                return Err(CallError::Lost(shared.reason()));
+            }
+            Err(RecvTimeoutError::Disconnected) => return Err(CallError::Lost(shared.reason())),
+        };
+        match reply.object.get("error") {
+            None => Ok(reply),
+            Some(code) => {
+                let text = |key: &str| Some(reply.object.get(key)?.as_str()?.to_owned());
+                Err(CallError::Said {
+                    // A word that is no code is a refusal of some kind.
+                    code: serde_json::from_value(code.clone()).unwrap_or(Code::Refused),
+                    message: text("message").unwrap_or_else(|| format!("{code} to '{name}'")),
+                    nonce: text("nonce"),
+                })
+            }
+        }
+    }
+
+    /// Ends the connection because of what the driver said.
+    pub(crate) fn break_off(&self, reason: &str) -> ScopeError {
+        self.shared.close(reason);
+        self.lost("driver")
+    }
+
+    pub(crate) fn lost(&self, device: &'static str) -> ScopeError {
+        ScopeError::Lost {
+            device,
+            detail: self.shared.reason(),
+        }
+    }
+}
+
+fn name_of(call: &Call) -> String {
+    let json = serde_json::to_value(call).unwrap_or_default();
+    json["call"].as_str().unwrap_or("?").to_owned()
+}
+
+impl Shared {
+    fn write(&self, request: &Request) -> std::io::Result<()> {
+        match &mut *lock(&self.out) {
+            Some(out) => wire::write(out, request, &[]),
+            None => Err(std::io::ErrorKind::BrokenPipe.into()),
+        }
+    }
+
+    fn reason(&self) -> String {
+        let state = lock(&self.state);
+        state.lost.clone().unwrap_or_else(|| "it was closed".into())
+    }
+
+    /// Hands out replies until there are no more, and tells why.
+    fn read(&self, stream: &mut impl BufRead) -> String {
+        loop {
+            let object = match wire::read_line(stream) {
+                Ok(Some(object)) => object,
+                Ok(None) => return "it ended".into(),
+                Err(error) => return error.to_string(),
+            };
+            let at = Instant::now();
+            let id = object.get("id").and_then(serde_json::Value::as_u64);
+            let waiting = id.and_then(|id| lock(&self.state).waiting.remove(&id));
+            let Some(waiting) = waiting else {
+                return "it sent a reply that nobody asked for".into();
+            };
+            let ok = object.get("ok") == Some(&serde_json::Value::Bool(true));
+            let count = match object.get("bytes") {
+                None => 0,
+                Some(count) => match count.as_u64() {
+                    Some(count) if ok && count == waiting.bytes as u64 => waiting.bytes,
+                    _ => {
+                        let reason = format!(
+                            "it announced {count} bytes where {} were agreed on",
+                            waiting.bytes
+                        );
+                        let _ = waiting.answer.send(Err(reason.clone()));
+                        return reason;
+                    }
+                },
+            };
+            let answer = match ok || object.contains_key("error") {
+                true => wire::read_bytes(stream, count).map_err(|e| e.to_string()),
+                false => Err("it sent a reply with neither ok nor error".into()),
+            };
+            let (answer, reason) = match answer {
+                Ok(bytes) => (Ok(Reply { object, bytes, at }), None),
+                Err(reason) => (Err(reason.clone()), Some(reason)),
+            };
+            // Whoever asked may have given up.
+            let _ = waiting.answer.send(answer);
+            if let Some(reason) = reason {
+                return reason;
+            }
+        }
+    }
+
+    /// Stops everything at the other end and ends the connection. The first reason stays.
+    fn close(&self, reason: &str) {
+        let waiting = {
+            let mut state = lock(&self.state);
+            if state.lost.is_some() {
+                return;
+            }
+            state.lost = Some(reason.to_owned());
+            std::mem::take(&mut state.waiting)
+        };
+        for (_, waiting) in waiting {
+            let _ = waiting.answer.try_send(Err(reason.to_owned()));
+        }
+        // What cannot be stopped by asking is stopped by the end of its input.
+        if let Some(mut out) = lock(&self.out).take() {
+            let id = self.next.fetch_add(2, Ordering::SeqCst);
+            for (id, call) in [(id, Call::Stop), (id + 1, Call::Bye)] {
+                let _ = wire::write(&mut out, &Request { id, call }, &[]);
+            }
+        }
+        match lock(&self.end).take() {
+            Some(End::Child(mut child)) => drop(std::thread::spawn(move || {
+                let start = Instant::now();
+                while matches!(child.try_wait(), Ok(None)) && start.elapsed() < GRACE {
+                    std::thread::sleep(Duration::from_millis(10));
+                }
+                let _ = child.kill();
+                let _ = child.wait();
+            })),
+            Some(End::Tcp(stream)) => drop(stream.shutdown(Shutdown::Both)),
+            None => {}
+        }
+    }
+}

@@ -1,0 +1,309 @@
+//! The devices of a driver, behind the contracts of the rest of the program.
+
+use crate::hello::frame_bytes;
+use crate::link::{CallError, Link, Reply};
+use crate::message::{Call, Code, MotionReply, Place};
+use scopeservo_scope::{
+    Camera, CameraInfo, Clock, Frame, Motion, Nosepiece, Objective, ObjectiveId, Samples,
+    ScopeError, Stage, StageInfo, StagePose,
+};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// The page's times.
+pub(crate) const HELLO: Duration = Duration::from_secs(15);
+const ANSWER: Duration = Duration::from_secs(2);
+const BEYOND_EXPOSURE: Duration = Duration::from_secs(5);
+/// Clocks of two programs tick apart by less than this within one frame.
+const CLOCK_SLACK: Duration = Duration::from_millis(2);
+
+/// One device of a driver: one request at a time, but for stops.
+pub(crate) struct Remote {
+    link: Link,
+    device: &'static str,
+    one: Mutex<()>,
+}
+
+impl Remote {
+    pub(crate) fn new(link: Link, device: &'static str) -> Self {
+        Self {
+            link,
+            device,
+            one: Mutex::new(()),
+        }
+    }
+
+    fn turn(&self) -> MutexGuard<'_, ()> {
+        // It guards no data.
+        self.one.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn ask(&self, call: Call) -> Result<Reply, ScopeError> {
+        let _turn = self.turn();
+        self.link.ask(call, 0, ANSWER).map_err(|e| self.error(e))
+    }
+
+    /// The reply as a value; nonsense ends the connection.
+    pub(crate) fn ask_for<T: DeserializeOwned>(&self, call: Call) -> Result<T, ScopeError> {
+        let reply = self.ask(call)?;
+        self.read(&reply)
+    }
+
+    fn read<T: DeserializeOwned>(&self, reply: &Reply) -> Result<T, ScopeError> {
+        serde_json::from_value(serde_json::Value::Object(reply.object.clone()))
+            .map_err(|error| self.nonsense(&error.to_string()))
+    }
+
+    fn nonsense(&self, what: &str) -> ScopeError {
+        self.link.break_off(&format!("it sent nonsense: {what}"));
+        self.link.lost(self.device)
+    }
+
+    /// Stops everything. Waits for no other request.
+    fn stop(&self) -> Result<(), ScopeError> {
+        let asked = self.link.ask(Call::Stop, 0, ANSWER);
+        asked.map(drop).map_err(|e| self.error(e))
+    }
+
+    fn error(&self, error: CallError) -> ScopeError {
+        let device = self.device;
+        match error {
+            CallError::Lost(detail) => ScopeError::Lost { device, detail },
+            CallError::Said { code, message, .. } => match code {
+                Code::Busy => ScopeError::Busy { device },
+                Code::NotHomed => ScopeError::NotHomed { device },
+                Code::Fault | Code::BadRequest => ScopeError::Device {
+                    device,
+                    detail: message,
+                },
+                Code::Unsupported
+                | Code::OutsideLimits
+                | Code::NoSuchAxis
+                | Code::NoSuchObjective
+                | Code::Refused
+                | Code::Secret => ScopeError::Refused {
+                    device,
+                    detail: message,
+                },
+            },
+        }
+    }
+}
+
+/// A stage of a driver.
+pub(crate) struct RemoteStage {
+    pub(crate) remote: Remote,
+    pub(crate) info: StageInfo,
+}
+
+impl Stage for RemoteStage {
+    fn info(&self) -> &StageInfo {
+        &self.info
+    }
+
+    fn position(&self) -> Result<StagePose, ScopeError> {
+        let pose = StagePose::from(self.remote.ask_for::<Place>(Call::Position)?);
+        for axis in &self.info.axes {
+            if !pose.si(axis.axis).is_some_and(f64::is_finite) {
+                let what = format!("the position lacks {}", axis.axis);
+                return Err(self.remote.nonsense(&what));
+            }
+        }
+        Ok(pose)
+    }
+
+    fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
+        self.remote.ask(Call::Move(Place::from(to))).map(drop)
+    }
+
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        Ok(self.remote.ask_for::<MotionReply>(Call::Motion)?.motion)
+    }
+
+    fn stop(&self) -> Result<(), ScopeError> {
+        self.remote.stop()
+    }
+}
+
+/// A nosepiece of a driver.
+pub(crate) struct RemoteNosepiece {
+    pub(crate) remote: Remote,
+    pub(crate) objectives: Vec<Objective>,
+}
+
+#[derive(Deserialize)]
+struct ObjectiveReply {
+    objective: Option<String>,
+    motion: Motion,
+}
+
+impl RemoteNosepiece {
+    fn now(&self) -> Result<(Option<ObjectiveId>, Motion), ScopeError> {
+        let now: ObjectiveReply = self.remote.ask_for(Call::Objective)?;
+        let id = now.objective.map(ObjectiveId);
+        if let Some(id) = &id
+            && self.objectives.iter().all(|o| o.id != *id)
+        {
+            return Err(self.remote.nonsense(&format!("there is no objective {id}")));
+        }
+        Ok((id, now.motion))
+    }
+}
+
+impl Nosepiece for RemoteNosepiece {
+    fn objectives(&self) -> &[Objective] {
+        &self.objectives
+    }
+
+    fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
+        let (id, motion) = self.now()?;
+        Ok(id.filter(|_| motion != Motion::Moving))
+    }
+
+    fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
+        let objective = to.0.clone();
+        self.remote.ask(Call::Change { objective }).map(drop)
+    }
+
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        Ok(self.now()?.1)
+    }
+
+    fn stop(&self) -> Result<(), ScopeError> {
+        self.remote.stop()
+    }
+}
+
+/// A camera of a driver.
+pub(crate) struct RemoteCamera {
+    pub(crate) remote: Remote,
+    pub(crate) info: CameraInfo,
+    pub(crate) clock: Arc<dyn Clock>,
+}
+
+#[derive(Deserialize)]
+struct ExposureReply {
+    exposure_ms: f64,
+}
+
+#[derive(Deserialize)]
+struct FrameReply {
+    width_px: usize,
+    height_px: usize,
+    channels: usize,
+    bits: u8,
+    exposure_ms: f64,
+    sequence: u64,
+    age_ms: f64,
+}
+
+impl RemoteCamera {
+    fn duration(&self, ms: f64, what: &str) -> Result<Duration, ScopeError> {
+        if ms >= 0.0 {
+            // Above the number of nanoseconds that a duration holds it is nonsense, too.
+            if let Ok(duration) = Duration::try_from_secs_f64(ms * 1e-3) {
+                return Ok(duration);
+            }
+        }
+        Err(self.remote.nonsense(&format!("{what} is {ms} ms")))
+    }
+
+    fn ask_exposure(&self, exposure_ms: Option<f64>) -> Result<Duration, ScopeError> {
+        let reply: ExposureReply = self.remote.ask_for(Call::Exposure { exposure_ms })?;
+        self.duration(reply.exposure_ms, "the exposure")
+    }
+}
+
+impl Camera for RemoteCamera {
+    fn info(&self) -> &CameraInfo {
+        &self.info
+    }
+
+    fn exposure(&self) -> Result<Duration, ScopeError> {
+        self.ask_exposure(None)
+    }
+
+    fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
+        let info = &self.info;
+        if exposure < info.min_exposure || exposure > info.max_exposure {
+            return Err(ScopeError::BadSetting {
+                what: format!(
+                    "the camera exposes for {:?} to {:?}; {exposure:?} was asked for",
+                    info.min_exposure, info.max_exposure
+                ),
+            });
+        }
+        self.ask_exposure(Some(exposure.as_secs_f64() * 1e3))
+    }
+
+    fn grab(&self) -> Result<Frame, ScopeError> {
+        let info = &self.info;
+        let within = self.exposure()? + BEYOND_EXPOSURE;
+        let turn = self.remote.turn();
+        let (asked, asked_at) = (self.clock.now(), Instant::now());
+        let reply = self
+            .remote
+            .link
+            .ask(Call::Grab, frame_bytes(info), within)
+            .map_err(|e| self.remote.error(e))?;
+        drop(turn);
+        let head: FrameReply = self.remote.read(&reply)?;
+        let shape = (head.width_px, head.height_px, head.channels, head.bits);
+        let agreed = (
+            info.width,
+            info.height,
+            info.channels.count(),
+            info.bit_depth,
+        );
+        if shape != agreed || reply.bytes.len() != frame_bytes(info) {
+            let what = format!("a frame of {shape:?} where {agreed:?} was agreed on");
+            return Err(self.remote.nonsense(&what));
+        }
+        let age = self.duration(head.age_ms, "the frame's age")?;
+        let since_asked = reply.at.saturating_duration_since(asked_at);
+        if age > since_asked + CLOCK_SLACK {
+            return Err(ScopeError::Device {
+                device: "camera",
+                detail: format!(
+                    "a frame that began {:.0} ms before it was asked for: the driver must not answer from a buffer",
+                    (age - since_asked).as_secs_f64() * 1e3
+                ),
+            });
+        }
+        let samples = match info.bit_depth {
+            ..=8 => Samples::U8(reply.bytes),
+            _ => Samples::U16(
+                reply
+                    .bytes
+                    .chunks_exact(2)
+                    .map(|b| u16::from_le_bytes([b[0], b[1]]))
+                    .collect(),
+            ),
+        };
+        Ok(Frame {
+            width: info.width,
+            height: info.height,
+            channels: info.channels,
+            bit_depth: info.bit_depth,
+            samples,
+            sequence: head.sequence,
+            exposure_start: asked.after(since_asked.saturating_sub(age)),
+            exposure: self.duration(head.exposure_ms, "the exposure")?,
+        })
+    }
+}
+
+#[derive(Deserialize)]
+struct LightReply {
+    level: f64,
+}
+
+pub(crate) fn light_level(remote: &Remote, level: Option<f64>) -> Result<f64, ScopeError> {
+    let reply: LightReply = remote.ask_for(Call::Light { level })?;
+    match (0.0..=1.0).contains(&reply.level) {
+        true => Ok(reply.level),
+        false => Err(remote.nonsense(&format!("a light level of {}", reply.level))),
+    }
+}

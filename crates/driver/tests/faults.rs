@@ -1,0 +1,371 @@
+//! Drivers that are silent, die, or talk nonsense: a typed error within the time of the page, and a stop on the way out.
+
+use scopeservo_driver::{Devices, Driver, DriverError};
+use scopeservo_scope::{Axis, Clock, ScopeError, StagePose, SystemClock};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+const HELLO: &str = r#"{"id":1,"ok":true,"protocol":1,"name":"odd","stage":{"name":"s","moves":"microscope","axes":[{"axis":"x","min_um":0,"max_um":1000,"repeatability_um":0}]},"camera":{"name":"c","width_px":8,"height_px":4,"channels":1,"bits":8,"min_exposure_ms":1,"max_exposure_ms":100},"nosepiece":{"name":"n","objectives":[{"id":"10x","magnification":100,"numerical_aperture":0.25,"um_per_px":1}]}}
+"#;
+
+/// What a peer does with each line that it reads, having said hello properly.
+type Odd = fn(&str, &mut TcpStream) -> std::io::Result<bool>;
+
+fn id(line: &str) -> u64 {
+    let digits = line.split("\"id\":").nth(1).unwrap_or("");
+    digits
+        .split(|c: char| !c.is_ascii_digit())
+        .next()
+        .unwrap_or("")
+        .parse()
+        .unwrap_or(0)
+}
+
+/// A peer on a port of its own, which tells every line that it reads.
+fn peer(hello: &'static str, odd: Odd) -> (String, Receiver<String>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let (tell, told) = channel();
+    std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut input = BufReader::new(stream.try_clone().unwrap());
+        let mut line = String::new();
+        while input.read_line(&mut line).is_ok_and(|n| n > 0) {
+            let first = line.contains("hello");
+            let _ = tell.send(line.clone());
+            let goes_on = match first {
+                true => stream.write_all(hello.as_bytes()).map(|()| true),
+                false => odd(&line, &mut stream),
+            };
+            if !goes_on.unwrap_or(false) {
+                return;
+            }
+            line.clear();
+        }
+    });
+    (address, told)
+}
+
+fn devices(address: &str) -> Devices {
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    let driver = Driver::connect(address, None).unwrap();
+    driver.devices(&clock).unwrap()
+}
+
+/// Asks for the position and tells the error and how long it took.
+fn position(odd: Odd) -> (ScopeError, Duration, Receiver<String>) {
+    let (address, told) = peer(HELLO, odd);
+    let devices = devices(&address);
+    let stage = devices.stage.unwrap();
+    let start = Instant::now();
+    let error = stage.position().unwrap_err();
+    let took = start.elapsed();
+    // Gone is gone: nobody waits again.
+    let start = Instant::now();
+    assert!(matches!(stage.poll(), Err(ScopeError::Lost { .. })));
+    assert!(start.elapsed() < Duration::from_millis(100));
+    (error, took, told)
+}
+
+#[test]
+fn each_kind_of_nonsense_is_a_lost_driver_at_once() {
+    let kinds: [(&str, Odd); 9] = [
+        ("no JSON object", |_, s| {
+            s.write_all(b"garbage \xff\xfe\n").map(|()| true)
+        }),
+        ("longer than", |_, s| {
+            s.write_all(&vec![b'x'; 100_000]).map(|()| true)
+        }),
+        ("middle", |_, s| s.write_all(b"{\"id\":2,").map(|()| false)),
+        ("it ended", |_, _| Ok(false)),
+        ("nobody asked", |_, s| {
+            s.write_all(b"{\"id\":99,\"ok\":true}\n").map(|()| true)
+        }),
+        ("neither ok nor error", |l, s| {
+            writeln!(s, "{{\"id\":{}}}", id(l)).map(|()| true)
+        }),
+        ("nonsense", |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":true}}", id(l)).map(|()| true)
+        }),
+        ("nonsense", |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":true,\"x_um\":\"far\"}}", id(l)).map(|()| true)
+        }),
+        ("104857600 bytes where 0", |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":true,\"bytes\":104857600}}", id(l)).map(|()| true)
+        }),
+    ];
+    for (word, odd) in kinds {
+        let (error, took, told) = position(odd);
+        assert!(
+            matches!(
+                error,
+                ScopeError::Lost {
+                    device: "stage",
+                    ..
+                }
+            ),
+            "{error:?}"
+        );
+        assert!(error.to_string().contains(word), "{word}: {error}");
+        assert!(took < Duration::from_secs(1), "{word}: {took:?}");
+        drop(told);
+    }
+}
+
+#[test]
+fn a_silent_driver_is_given_up_in_time_and_told_to_stop() {
+    let (error, took, told) = position(|_, _| Ok(true));
+    assert!(
+        error
+            .to_string()
+            .contains("did not answer 'position' within 2 s"),
+        "{error}"
+    );
+    assert!(
+        (Duration::from_millis(1900)..Duration::from_secs(4)).contains(&took),
+        "{took:?}"
+    );
+    let said: Vec<String> = told.iter().collect();
+    assert!(said.iter().any(|l| l.contains("stop")), "{said:?}");
+    assert!(said.last().unwrap().contains("bye"), "{said:?}");
+}
+
+#[test]
+fn one_byte_at_a_time_is_slow_and_right() {
+    let (address, _told) = peer(HELLO, |line, stream| {
+        let reply = format!("{{\"id\":{},\"ok\":true,\"x_um\":12.5}}\r\n", id(line));
+        for byte in reply.bytes() {
+            stream.write_all(&[byte])?;
+            std::thread::sleep(Duration::from_micros(300));
+        }
+        Ok(true)
+    });
+    let at = devices(&address).stage.unwrap().position().unwrap();
+    assert!((at.si(Axis::X).unwrap() - 12.5e-6).abs() < 1e-15);
+}
+
+#[test]
+fn refusals_keep_their_kind_and_words() {
+    for (code, kind) in [
+        ("busy", ScopeError::Busy { device: "stage" }),
+        ("not_homed", ScopeError::NotHomed { device: "stage" }),
+        (
+            "refused",
+            ScopeError::Refused {
+                device: "stage",
+                detail: "the lid is open".into(),
+            },
+        ),
+        (
+            "fault",
+            ScopeError::Device {
+                device: "stage",
+                detail: "the lid is open".into(),
+            },
+        ),
+    ] {
+        // A peer function has no captures: the code goes round through a static.
+        static CODE: std::sync::Mutex<String> = std::sync::Mutex::new(String::new());
+        *CODE.lock().unwrap() = code.into();
+        let (address, _told) = peer(HELLO, |line, stream| {
+            let code = CODE.lock().unwrap().clone();
+            let id = id(line);
+            writeln!(
+                stream,
+                "{{\"id\":{id},\"error\":\"{code}\",\"message\":\"the lid is open\"}}"
+            )
+            .map(|()| true)
+        });
+        let stage = devices(&address).stage.unwrap();
+        let to = StagePose::default().with_si(Axis::X, 1e-5);
+        assert_eq!(stage.start_move(&to), Err(kind));
+    }
+}
+
+/// Answers everything as asked, frames with `age_ms` and `bytes` of its own.
+fn camera(line: &str, stream: &mut TcpStream, frame: &str, data: &[u8]) -> std::io::Result<bool> {
+    let id = id(line);
+    if !line.contains("grab") {
+        writeln!(stream, "{{\"id\":{id},\"ok\":true,\"exposure_ms\":10}}")?;
+        return Ok(true);
+    }
+    writeln!(
+        stream,
+        "{{\"id\":{id},\"ok\":true,\"channels\":1,\"bits\":8,\"exposure_ms\":10,\"sequence\":1,{frame}}}"
+    )?;
+    stream.write_all(data)?;
+    Ok(data.len() == 32)
+}
+
+#[test]
+fn frames_that_are_stale_cut_or_of_another_shape_are_refused() {
+    let grab = |odd: Odd| {
+        let (address, _told) = peer(HELLO, odd);
+        devices(&address).camera.unwrap().grab()
+    };
+    let good = grab(|l, s| {
+        camera(
+            l,
+            s,
+            "\"width_px\":8,\"height_px\":4,\"age_ms\":0.01,\"bytes\":32",
+            &[7; 32],
+        )
+    });
+    assert_eq!(
+        good.unwrap().samples,
+        scopeservo_scope::Samples::U8(vec![7; 32])
+    );
+    let said = |odd: Odd| grab(odd).unwrap_err().to_string();
+    let stale = said(|l, s| {
+        camera(
+            l,
+            s,
+            "\"width_px\":8,\"height_px\":4,\"age_ms\":500,\"bytes\":32",
+            &[7; 32],
+        )
+    });
+    assert!(stale.contains("before it was asked for"), "{stale}");
+    let shape = said(|l, s| {
+        camera(
+            l,
+            s,
+            "\"width_px\":4,\"height_px\":8,\"age_ms\":0,\"bytes\":32",
+            &[7; 32],
+        )
+    });
+    assert!(shape.contains("agreed on"), "{shape}");
+    let cut = said(|l, s| {
+        camera(
+            l,
+            s,
+            "\"width_px\":8,\"height_px\":4,\"age_ms\":0,\"bytes\":32",
+            &[7; 20],
+        )
+    });
+    assert!(cut.contains("middle"), "{cut}");
+    let huge = said(|l, s| {
+        camera(
+            l,
+            s,
+            "\"width_px\":8,\"height_px\":4,\"age_ms\":0,\"bytes\":104857600",
+            &[7; 32],
+        )
+    });
+    assert!(huge.contains("104857600 bytes where 32"), "{huge}");
+    let negative = said(|l, s| {
+        camera(
+            l,
+            s,
+            "\"width_px\":8,\"height_px\":4,\"age_ms\":-1e300,\"bytes\":32",
+            &[7; 32],
+        )
+    });
+    assert!(negative.contains("nonsense"), "{negative}");
+}
+
+#[test]
+fn a_wrong_hello_says_what_is_wrong() {
+    let said = |hello: &'static str| {
+        let (address, _told) = peer(hello, |_, _| Ok(true));
+        Driver::connect(&address, None)
+            .err()
+            .expect(hello)
+            .to_string()
+    };
+    let version = said("{\"id\":1,\"ok\":true,\"protocol\":2,\"name\":\"new\"}\n");
+    assert!(version.contains("version 2"), "{version}");
+    let unsupported =
+        said("{\"id\":1,\"error\":\"unsupported\",\"message\":\"I speak version 3\"}\n");
+    assert!(unsupported.contains("I speak version 3"), "{unsupported}");
+    let other = said("HTTP/1.1 400 Bad Request\r\n\r\n");
+    assert!(other.contains("no JSON object"), "{other}");
+    let nameless = said("{\"id\":1,\"ok\":true,\"protocol\":1}\n");
+    assert!(nameless.contains("name"), "{nameless}");
+    let nobody = Driver::connect("127.0.0.1:1", None).err().unwrap();
+    assert!(matches!(nobody, DriverError::Connect { .. }), "{nobody}");
+    let none = Driver::spawn("/no/such/driver", &[]).err().unwrap();
+    assert!(matches!(none, DriverError::Spawn { .. }), "{none}");
+    let (address, _told) = peer(
+        "{\"id\":1,\"ok\":true,\"protocol\":1,\"name\":\"n\",\"stage\":{\"name\":\"s\",\"moves\":\"microscope\",\"axes\":[]}}\n",
+        |_, _| Ok(true),
+    );
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    let impossible = Driver::connect(&address, None)
+        .unwrap()
+        .devices(&clock)
+        .err()
+        .unwrap();
+    assert!(impossible.to_string().contains("no axes"), "{impossible}");
+}
+
+#[test]
+fn a_stop_overtakes_a_grab() {
+    // The peer answers nothing but stops until it has seen one.
+    let (address, _told) = peer(HELLO, |line, stream| {
+        if line.contains("exposure") {
+            writeln!(
+                stream,
+                "{{\"id\":{},\"ok\":true,\"exposure_ms\":10}}",
+                id(line)
+            )?;
+        } else if line.contains("stop") {
+            writeln!(stream, "{{\"id\":{},\"ok\":true}}", id(line))?;
+        }
+        Ok(true)
+    });
+    let Devices { stage, camera, .. } = devices(&address);
+    let (stage, camera) = (stage.unwrap(), camera.unwrap());
+    let grabbing = std::thread::spawn(move || camera.grab());
+    std::thread::sleep(Duration::from_millis(100));
+    let start = Instant::now();
+    stage.stop().unwrap();
+    assert!(start.elapsed() < Duration::from_millis(200));
+    drop(stage);
+    // The exposure and five seconds, then it is given up.
+    let error = grabbing.join().unwrap().unwrap_err();
+    assert!(error.to_string().contains("'grab'"), "{error}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_driver_that_is_killed_is_noticed_and_one_that_hangs_is_ended() {
+    let script = |then: &str| {
+        let hello = HELLO.trim_end();
+        vec![
+            "-c".to_owned(),
+            format!("read line; echo '{hello}'; {then}"),
+        ]
+    };
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    let killed = Driver::spawn("sh", &script("read line; kill -9 $$")).unwrap();
+    let stage = killed.devices(&clock).unwrap().stage.unwrap();
+    let start = Instant::now();
+    let error = stage.position().unwrap_err();
+    assert!(error.to_string().contains("it ended"), "{error}");
+    assert!(start.elapsed() < Duration::from_secs(1));
+
+    // It tells its number, then neither reads nor ends by itself.
+    let folder = std::env::temp_dir().join(format!("scopeservo-hangs-{}", std::process::id()));
+    let hangs = format!(
+        "echo $$ > '{}'; while :; do sleep 1; done",
+        folder.display()
+    );
+    let driver = Driver::spawn("sh", &script(&hangs)).unwrap();
+    std::thread::sleep(Duration::from_millis(300));
+    let mut number = String::new();
+    std::fs::File::open(&folder)
+        .unwrap()
+        .read_to_string(&mut number)
+        .unwrap();
+    drop(driver);
+    std::thread::sleep(Duration::from_millis(1500));
+    let alive = std::process::Command::new("kill")
+        .args(["-0", number.trim()])
+        .output()
+        .unwrap();
+    std::fs::remove_file(&folder).unwrap();
+    assert!(!alive.status.success(), "{number} still runs");
+}
