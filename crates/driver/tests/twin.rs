@@ -1,5 +1,7 @@
 //! The simulated microscope behind the protocol: the same conformance suite, over a port of this machine.
 
+#![expect(clippy::print_stdout, reason = "a test may tell what it measured")]
+
 use scopeservo_driver::{Driver, DriverError, Offer, Secret, listen};
 use scopeservo_scope::{
     Axis, CancelToken, ChangeRule, Clock, Instrument, Motion, MotionGate, Rules, StagePose,

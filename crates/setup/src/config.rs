@@ -1,0 +1,397 @@
+//! The file. Every key has its unit in its name; unknown keys are errors.
+
+use crate::SetupError;
+use scopeservo_scope::Workspace;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A whole description of an instrument.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// For people.
+    pub name: String,
+    /// The drivers, by names of the user's.
+    pub drivers: BTreeMap<String, DriverConfig>,
+    /// Which driver speaks for which device.
+    pub devices: DevicesConfig,
+    /// Objectives: of a nosepiece by hand, or the one there is. A driver's nosepiece brings its own.
+    #[serde(default, rename = "objective")]
+    pub objectives: Vec<ObjectiveConfig>,
+    /// Narrower than the stage's travel.
+    #[serde(default)]
+    pub limits: AxesConfig<[f64; 2]>,
+    /// The same for single objectives.
+    #[serde(default)]
+    pub limits_for: BTreeMap<String, AxesConfig<[f64; 2]>>,
+    /// The longest single moves.
+    #[serde(default)]
+    pub largest_step: AxesConfig<f64>,
+    /// How the axes share their travel.
+    #[serde(default)]
+    pub workspace: Workspace,
+    /// Where objectives must stay away.
+    #[serde(default, rename = "zone")]
+    pub zones: Vec<ZoneConfig>,
+    /// When the nosepiece may turn.
+    pub objective_change: Option<ChangeConfig>,
+    /// Settings of the camera.
+    #[serde(default)]
+    pub camera: CameraConfig,
+    /// Settings of the light.
+    #[serde(default)]
+    pub light: LightConfig,
+    /// Where calibrations and targets are kept, from the folder of this file on.
+    #[serde(default = "data_folder")]
+    pub data_folder: PathBuf,
+    /// The file itself.
+    #[serde(skip)]
+    pub path: PathBuf,
+}
+
+fn data_folder() -> PathBuf {
+    "scopeservo-data".into()
+}
+
+/// How a driver is found: exactly one of `program`, `tcp` and `twin`.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DriverConfig {
+    /// A program and its arguments, to be started. One with a `/` in its name is looked for from the folder of this file on.
+    pub program: Option<Vec<String>>,
+    /// Address and port of one that runs.
+    pub tcp: Option<String>,
+    /// A file with the secret for it.
+    pub secret_file: Option<PathBuf>,
+    /// The simulated microscope.
+    pub twin: Option<TwinConfig>,
+}
+
+/// The simulated microscope.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TwinConfig {
+    /// Of everything that is drawn.
+    #[serde(default = "one")]
+    pub seed: u64,
+    /// A slide image; procedural tissue without.
+    pub specimen: Option<PathBuf>,
+    /// Size of a pixel of the slide image, where it does not state it.
+    pub um_per_px: Option<f64>,
+    /// What lies under the view's centre at the start, um on the specimen.
+    #[serde(default)]
+    pub centre_um: [f64; 2],
+    /// How far the specimen is turned.
+    #[serde(default)]
+    pub turned_deg: f64,
+    /// Whether motion takes as long as it would; otherwise a minute passes in a second.
+    #[serde(default)]
+    pub real_time: bool,
+}
+
+fn one() -> u64 {
+    1
+}
+
+/// The name of a driver.
+pub type DeviceName = String;
+
+/// Which driver speaks for which device.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DevicesConfig {
+    /// The stage.
+    pub stage: DeviceName,
+    /// The camera.
+    pub camera: DeviceName,
+    /// The nosepiece: a driver's name, `by-hand` (the program asks and waits) or `none` (there is one objective).
+    pub nosepiece: DeviceName,
+    /// The light, if it is to be set.
+    pub light: Option<DeviceName>,
+}
+
+/// An objective.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ObjectiveConfig {
+    /// Its name.
+    pub id: String,
+    /// Total magnification; orders the objectives.
+    pub magnification: f64,
+    /// Numerical aperture.
+    pub numerical_aperture: f64,
+    /// Nominal size of a camera pixel on the specimen.
+    pub um_per_px: f64,
+}
+
+/// One value per axis.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AxesConfig<T> {
+    /// Along x.
+    pub x_um: Option<T>,
+    /// Along y.
+    pub y_um: Option<T>,
+    /// Focus.
+    pub z_um: Option<T>,
+    /// About x.
+    pub rx_deg: Option<T>,
+    /// About y.
+    pub ry_deg: Option<T>,
+    /// About z.
+    pub rz_deg: Option<T>,
+}
+
+/// A part of the x-y plane in which objectives must stay farther away.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ZoneConfig {
+    /// What is there.
+    pub name: String,
+    /// From where to where.
+    pub x_um: [f64; 2],
+    /// From where to where.
+    pub y_um: [f64; 2],
+    /// The height nearest to the specimen that is allowed there.
+    pub closest_z_um: f64,
+    /// Which objectives; all when left out.
+    #[serde(default)]
+    pub objectives: Vec<String>,
+}
+
+/// When the nosepiece may turn: exactly one of `retract_z_um` and `anywhere`.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ChangeConfig {
+    /// Only from this height on, away from the specimen.
+    pub retract_z_um: Option<f64>,
+    /// How far from the expected focus an objective stops whose focus was never found.
+    pub margin_um: Option<f64>,
+    /// At any height.
+    pub anywhere: Option<bool>,
+}
+
+/// Settings of the camera.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraConfig {
+    /// Set when the instrument is opened.
+    pub exposure_ms: Option<f64>,
+}
+
+/// Settings of the light.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LightConfig {
+    /// 0 to 1, set when the instrument is opened.
+    pub level: Option<f64>,
+}
+
+impl Config {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`SetupError::Read`], [`SetupError::Parse`] with line and column, [`SetupError::Sense`].
+    pub fn read(path: &Path) -> Result<Self, SetupError> {
+        let text = fs::read_to_string(path).map_err(|source| SetupError::Read {
+            path: path.into(),
+            source,
+        })?;
+        Self::parse(&text, path)
+    }
+
+    /// Understands a text as if it were that file.
+    ///
+    /// # Errors
+    /// As [`Config::read`].
+    pub fn parse(text: &str, path: &Path) -> Result<Self, SetupError> {
+        let mut config: Self = toml::from_str(text).map_err(|error| {
+            let at = error.span().map_or(0, |s| s.start).min(text.len());
+            let before = text.as_bytes()[..at].iter();
+            let line = before.clone().filter(|&&b| b == b'\n').count() + 1;
+            let column = before.rev().take_while(|&&b| b != b'\n').count() + 1;
+            SetupError::Parse {
+                path: path.into(),
+                line,
+                column,
+                what: with_guess(error.message()),
+            }
+        })?;
+        config.path = path.into();
+        config.check()?;
+        Ok(config)
+    }
+
+    /// A path in the file, from the folder of the file on.
+    pub fn resolve(&self, path: &Path) -> PathBuf {
+        self.path.parent().unwrap_or(Path::new("")).join(path)
+    }
+
+    pub(crate) fn senseless(&self, what: impl Into<String>) -> SetupError {
+        SetupError::Sense {
+            path: self.path.clone(),
+            what: what.into(),
+        }
+    }
+
+    fn check(&self) -> Result<(), SetupError> {
+        for (name, driver) in &self.drivers {
+            let kinds = [
+                driver.program.is_some(),
+                driver.tcp.is_some(),
+                driver.twin.is_some(),
+            ];
+            if kinds.iter().filter(|&&k| k).count() != 1 {
+                return Err(self.senseless(format!(
+                    "drivers.{name} must have exactly one of program, tcp and twin"
+                )));
+            }
+            if driver.program.as_ref().is_some_and(Vec::is_empty) {
+                return Err(self.senseless(format!("drivers.{name}.program is empty")));
+            }
+            if driver.secret_file.is_some() && driver.tcp.is_none() {
+                return Err(self.senseless(format!("drivers.{name}: a secret is for tcp only")));
+            }
+        }
+        let devices = &self.devices;
+        let mut named = vec![("stage", &devices.stage), ("camera", &devices.camera)];
+        if !["by-hand", "none"].contains(&devices.nosepiece.as_str()) {
+            named.push(("nosepiece", &devices.nosepiece));
+        }
+        named.extend(devices.light.iter().map(|l| ("light", l)));
+        for (device, driver) in named {
+            if !self.drivers.contains_key(driver) {
+                let known = self.drivers.keys().map(String::as_str);
+                let hint = guess(driver, known)
+                    .map_or(String::new(), |g| format!("; did you mean '{g}'?"));
+                return Err(self.senseless(format!(
+                    "devices.{device} is '{driver}', and there is no drivers.{driver}{hint}"
+                )));
+            }
+        }
+        match (devices.nosepiece.as_str(), self.objectives.len()) {
+            ("by-hand", 0) => {
+                Err(self.senseless("a nosepiece by hand needs its objectives: [[objective]]"))
+            }
+            ("none", n) if n != 1 => Err(self.senseless(
+                "without a nosepiece there is exactly one objective: describe it as [[objective]]",
+            )),
+            ("by-hand" | "none", _) => Ok(()),
+            (_, 0) => Ok(()),
+            _ => Err(self.senseless(
+                "the driver's nosepiece brings its own objectives: leave out [[objective]]",
+            )),
+        }?;
+        if let Some(change) = &self.objective_change
+            && (change.retract_z_um.is_some() == (change.anywhere == Some(true)))
+        {
+            return Err(self.senseless(
+                "objective_change must have exactly one of retract_z_um = ... and anywhere = true",
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// `unknown field ..., expected one of ...` with the nearest of them.
+fn with_guess(message: &str) -> String {
+    let message = message.trim_end();
+    let mut quoted = message.split('`').skip(1).step_by(2);
+    match (message.starts_with("unknown "), quoted.next()) {
+        (true, Some(wrong)) => {
+            let known: Vec<&str> = quoted.collect();
+            let what = message.split('`').next().unwrap_or("unknown key").trim();
+            let what = what.replace("field", "key").replace("variant", "value");
+            match guess(wrong, known.iter().copied()) {
+                Some(right) => format!("{what} '{wrong}'; did you mean '{right}'?"),
+                None => format!("{what} '{wrong}'; there are {}", known.join(", ")),
+            }
+        }
+        _ => message.replace('\n', " "),
+    }
+}
+
+/// The word most like another, if any is.
+fn guess<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    known
+        .map(|word| (strsim::jaro_winkler(wrong, word), word))
+        .filter(|(like, _)| *like > 0.8)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, word)| word)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{TEMPLATE, TWIN_TEMPLATE};
+
+    fn parse(text: &str) -> Result<Config, SetupError> {
+        Config::parse(text, Path::new("lab/scopeservo.toml"))
+    }
+
+    fn said(text: &str) -> String {
+        parse(text).expect_err(text).to_string()
+    }
+
+    #[test]
+    fn the_templates_are_valid() {
+        let config = parse(TEMPLATE).unwrap();
+        assert_eq!(config.devices.stage, "main");
+        assert_eq!(
+            config.resolve(&config.data_folder),
+            Path::new("lab/scopeservo-data")
+        );
+        parse(TWIN_TEMPLATE).unwrap();
+    }
+
+    #[test]
+    fn mistakes_are_named_with_their_place_and_a_guess() {
+        let wrong = |from: &str, to: &str| said(&TWIN_TEMPLATE.replace(from, to));
+        let key = wrong("retract_z_um", "retract_z");
+        assert!(
+            key.contains("unknown key 'retract_z'; did you mean 'retract_z_um'?"),
+            "{key}"
+        );
+        let line = TWIN_TEMPLATE[..TWIN_TEMPLATE.find("retract_z_um").unwrap()]
+            .lines()
+            .count()
+            + 1;
+        assert!(
+            key.starts_with(&format!("lab/scopeservo.toml:{line}:1: ")),
+            "{key}"
+        );
+        let unit = wrong("x_um = ", "x_mm = ");
+        assert!(unit.contains("did you mean 'x_um'?"), "{unit}");
+        let odd = wrong("[limits]", "[quux]");
+        assert!(
+            odd.contains("unknown key 'quux'; there are name, drivers"),
+            "{odd}"
+        );
+        let missing = wrong("camera = \"twin\"", "");
+        assert!(missing.contains("missing field `camera`"), "{missing}");
+        let kind = wrong("x_um = [", "x_um = [\"far\", ");
+        assert!(kind.contains("invalid type"), "{kind}");
+        let broken = wrong("[limits]", "[limits");
+        assert!(broken.starts_with("lab/scopeservo.toml:"), "{broken}");
+        let driver = wrong("camera = \"twin\"", "camera = \"twim\"");
+        assert!(
+            driver.contains("devices.camera is 'twim'") && driver.contains("did you mean 'twin'?"),
+            "{driver}"
+        );
+        let both = wrong("retract_z_um", "anywhere = true\nretract_z_um");
+        assert!(both.contains("exactly one of"), "{both}");
+        let kinds = wrong(
+            "[drivers.twin.twin]",
+            "[drivers.twin]\ntcp = \"localhost:1\"\n[drivers.twin.twin]",
+        );
+        assert!(
+            kinds.contains("exactly one of program, tcp and twin"),
+            "{kinds}"
+        );
+        let none = wrong("nosepiece = \"twin\"", "nosepiece = \"none\"");
+        assert!(none.contains("exactly one objective"), "{none}");
+        assert!(said("").contains("missing field `name`"));
+    }
+}

@@ -1,0 +1,62 @@
+//! What can be wrong with a description of an instrument, or with finding the instrument.
+
+use scopeservo_driver::DriverError;
+use scopeservo_scope::ScopeError;
+use scopeservo_twin::TwinError;
+use scopeservo_twin::specimen::SpecimenError;
+use std::path::PathBuf;
+use thiserror::Error;
+
+/// Why there is no instrument.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum SetupError {
+    /// The file cannot be read.
+    #[error("{path} cannot be read: {source}. `scopeservo init` writes one")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file cannot be understood.
+    #[error("{path}:{line}:{column}: {what}")]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Counts from 1.
+        line: usize,
+        /// Counts from 1.
+        column: usize,
+        /// What is wrong there.
+        what: String,
+    },
+    /// The file is readable, but does not describe an instrument.
+    #[error("{path}: {what}")]
+    Sense {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and what to do.
+        what: String,
+    },
+    /// A driver cannot be started or found, or makes no sense.
+    #[error(transparent)]
+    Driver(#[from] DriverError),
+    /// A secret cannot be read.
+    #[error("the secret in {path} cannot be used: {what}")]
+    Secret {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        what: String,
+    },
+    /// The simulated microscope cannot be built.
+    #[error(transparent)]
+    Twin(#[from] TwinError),
+    /// Its specimen cannot be read.
+    #[error(transparent)]
+    Specimen(#[from] SpecimenError),
+    /// A device refused or failed, or a rule makes no sense for it.
+    #[error(transparent)]
+    Scope(#[from] ScopeError),
+}

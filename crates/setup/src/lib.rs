@@ -1,0 +1,17 @@
+//! `scopeservo.toml`: what an instrument is made of, and what it may do.
+//!
+//! [`Config::read`] reads and checks the file, [`open`] makes an [`scopeservo_scope::Instrument`] of it. Nothing moves because of
+//! either, unless the user agreed to homing.
+
+mod by_hand;
+mod config;
+mod error;
+mod open;
+mod rules;
+mod template;
+
+pub use by_hand::Ask;
+pub use config::{Config, DeviceName, DriverConfig, ObjectiveConfig, TwinConfig};
+pub use error::SetupError;
+pub use open::{Consent, Opened, open};
+pub use template::{TEMPLATE, TWIN_TEMPLATE};

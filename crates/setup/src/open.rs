@@ -1,0 +1,282 @@
+//! From the file to the instrument.
+
+use crate::SetupError;
+use crate::by_hand::{Ask, ByHand};
+use crate::config::{Config, DriverConfig, ObjectiveConfig, TwinConfig};
+use crate::rules::rules;
+use scopeservo_driver::{Devices, Driver, Light, Secret};
+use scopeservo_scope::{
+    Camera, CancelToken, Clock, Instrument, Motion, MotionGate, Nosepiece, Objective, ObjectiveId,
+    ScopeError, Stage, SystemClock, VirtualClock,
+};
+use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
+use scopeservo_twin::{Config as Make, Twin};
+use std::collections::BTreeMap;
+use std::fs;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// No homing takes longer.
+const HOMING: Duration = Duration::from_secs(180);
+
+/// What the user agreed to.
+#[derive(Clone)]
+pub struct Consent {
+    /// Homing, which may move anything anywhere.
+    pub home: bool,
+    /// How somebody is asked to turn a nosepiece.
+    pub ask: Ask,
+}
+
+/// An instrument, ready.
+pub struct Opened {
+    /// What procedures need.
+    pub instrument: Instrument,
+    /// The light, where one was named.
+    pub light: Option<Light>,
+    /// The simulated microscope, where it is one.
+    pub twin: Option<Twin>,
+    /// Each driver with the name it gives itself.
+    pub drivers: Vec<(String, String)>,
+}
+
+/// Finds the drivers, puts the devices together behind their gate, and sets exposure and light. Nothing moves, but for homing that
+/// is needed and was agreed to. `cancel` ends procedures and homing.
+///
+/// # Errors
+/// [`SetupError`]; [`ScopeError::NotHomed`] within it when homing is needed and was not agreed to.
+pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<Opened, SetupError> {
+    let hurried = |d: &DriverConfig| d.twin.as_ref().is_some_and(|t| !t.real_time);
+    let clock: Arc<dyn Clock> = match config.drivers.values().all(hurried) {
+        true => Arc::new(VirtualClock::new()),
+        false => Arc::new(SystemClock::new()),
+    };
+    let mut all: BTreeMap<&str, Found> = BTreeMap::new();
+    for (name, driver) in &config.drivers {
+        all.insert(name, find(config, driver, &clock)?);
+    }
+    let lacks = |driver: &str, device: &str| {
+        config.senseless(format!(
+            "devices.{device} is '{driver}', which has no {device}"
+        ))
+    };
+    let devices = &config.devices;
+    let stage = of(&mut all, &devices.stage).and_then(|d| d.stage.take());
+    let stage = stage.ok_or_else(|| lacks(&devices.stage, "stage"))?;
+    let camera = of(&mut all, &devices.camera).and_then(|d| d.camera.take());
+    let camera = camera.ok_or_else(|| lacks(&devices.camera, "camera"))?;
+    let nosepiece: Box<dyn Nosepiece> = match devices.nosepiece.as_str() {
+        "by-hand" | "none" => Box::new(ByHand::new(objectives(config)?, consent.ask.clone())),
+        driver => of(&mut all, driver)
+            .and_then(|d| d.nosepiece.take())
+            .ok_or_else(|| lacks(driver, "nosepiece"))?,
+    };
+    let light = match &devices.light {
+        None => None,
+        Some(driver) => Some(
+            of(&mut all, driver)
+                .and_then(|d| d.light.take())
+                .ok_or_else(|| lacks(driver, "light"))?,
+        ),
+    };
+    if let Some(found) = all.get(devices.stage.as_str()) {
+        found.home(&*stage, &*clock, consent, &cancel)?;
+    }
+    set(config, &*camera, light.as_ref())?;
+    let rules = rules(config, stage.info(), nosepiece.objectives().len())?;
+    let gate = MotionGate::new(stage, nosepiece, rules)?;
+    let drivers = all
+        .iter()
+        .map(|(n, f)| ((*n).to_owned(), f.name.clone()))
+        .collect();
+    let twin = all.into_values().find_map(|found| found.twin);
+    Ok(Opened {
+        instrument: Instrument::new(gate, camera, clock, cancel),
+        light,
+        twin,
+        drivers,
+    })
+}
+
+fn of<'a>(all: &'a mut BTreeMap<&str, Found>, driver: &str) -> Option<&'a mut Devices> {
+    all.get_mut(driver).map(|found| &mut found.devices)
+}
+
+/// A driver that was found.
+struct Found {
+    name: String,
+    devices: Devices,
+    driver: Option<Driver>,
+    twin: Option<Twin>,
+}
+
+impl Found {
+    /// Homes a stage that needs it.
+    fn home(
+        &self,
+        stage: &dyn Stage,
+        clock: &dyn Clock,
+        consent: &Consent,
+        cancel: &CancelToken,
+    ) -> Result<(), ScopeError> {
+        let Some(driver) = &self.driver else {
+            return Ok(());
+        };
+        if driver.hello().stage.as_ref().is_none_or(|s| s.homed) {
+            return Ok(());
+        }
+        if !consent.home {
+            return Err(ScopeError::NotHomed { device: "stage" });
+        }
+        driver.start_homing()?;
+        let start = clock.now();
+        loop {
+            if cancel.is_cancelled() {
+                stage.stop()?;
+                return Err(ScopeError::Interrupted { at: None });
+            }
+            match stage.poll()? {
+                Motion::Settled => return Ok(()),
+                Motion::Stopped => return Err(ScopeError::MoveAborted { at: None }),
+                Motion::Moving => clock.sleep(Duration::from_millis(20)),
+            }
+            if clock.now().since(start) > HOMING {
+                stage.stop()?;
+                return Err(ScopeError::Timeout {
+                    device: "stage",
+                    seconds: HOMING.as_secs_f64(),
+                });
+            }
+        }
+    }
+}
+
+fn find(
+    config: &Config,
+    driver: &DriverConfig,
+    clock: &Arc<dyn Clock>,
+) -> Result<Found, SetupError> {
+    if let Some(twin) = &driver.twin {
+        return simulated(config, twin, clock);
+    }
+    let driver = match (&driver.program, &driver.tcp) {
+        (Some(program), _) => {
+            // The check saw that it is not empty.
+            let (first, arguments) = program.split_first().map_or(("", &[][..]), |(f, a)| (f, a));
+            let first = match first.contains('/') {
+                true => config
+                    .resolve(first.as_ref())
+                    .to_string_lossy()
+                    .into_owned(),
+                false => first.to_owned(),
+            };
+            Driver::spawn(&first, arguments)?
+        }
+        (None, Some(address)) => {
+            let secret = match &driver.secret_file {
+                Some(file) => Some(secret(config, file)?),
+                None => None,
+            };
+            Driver::connect(address, secret.as_ref())?
+        }
+        (None, None) => return Err(config.senseless("a driver has neither program nor tcp")),
+    };
+    Ok(Found {
+        name: driver.hello().name.clone(),
+        devices: driver.devices(clock)?,
+        driver: Some(driver),
+        twin: None,
+    })
+}
+
+fn secret(config: &Config, file: &std::path::Path) -> Result<Secret, SetupError> {
+    let path = config.resolve(file);
+    let bad = |what: String| SetupError::Secret {
+        path: path.clone(),
+        what,
+    };
+    let bytes = fs::read(&path).map_err(|e| bad(e.to_string()))?;
+    Secret::new(&bytes)
+        .ok_or_else(|| bad(format!("it must have {} bytes or more", Secret::MIN_BYTES)))
+}
+
+fn simulated(
+    config: &Config,
+    settings: &TwinConfig,
+    clock: &Arc<dyn Clock>,
+) -> Result<Found, SetupError> {
+    let specimen: Arc<dyn Specimen> = match &settings.specimen {
+        Some(path) => Arc::new(FileSpecimen::open(
+            &config.resolve(path),
+            settings.um_per_px,
+        )?),
+        None => Arc::new(Tissue::new(settings.seed)),
+    };
+    let twin = Twin::new(Make::realistic(), specimen, settings.seed, clock.clone())?;
+    let numbers = [
+        settings.centre_um[0],
+        settings.centre_um[1],
+        settings.turned_deg,
+    ];
+    if !numbers.iter().all(|v| v.is_finite()) {
+        return Err(config.senseless("centre_um and turned_deg of the twin must be numbers"));
+    }
+    twin.centre_specimen(settings.centre_um, settings.turned_deg);
+    Ok(Found {
+        name: "simulated microscope".into(),
+        devices: Devices {
+            stage: Some(twin.stage()),
+            camera: Some(twin.camera()),
+            nosepiece: Some(twin.nosepiece()),
+            light: None,
+        },
+        driver: None,
+        twin: Some(twin),
+    })
+}
+
+fn objectives(config: &Config) -> Result<Vec<Objective>, SetupError> {
+    let mut all: Vec<Objective> = Vec::new();
+    for ObjectiveConfig {
+        id,
+        magnification,
+        numerical_aperture,
+        um_per_px,
+    } in &config.objectives
+    {
+        if all.iter().any(|o| o.id.0 == *id) || id.is_empty() {
+            return Err(config.senseless(format!("the objective '{id}' needs a name of its own")));
+        }
+        let sizes = [*magnification, *numerical_aperture, *um_per_px];
+        if !sizes.iter().all(|v| v.is_finite() && *v > 0.0) {
+            return Err(config.senseless(format!(
+                "magnification, numerical_aperture and um_per_px of {id} must be above 0"
+            )));
+        }
+        all.push(Objective {
+            id: ObjectiveId(id.clone()),
+            magnification: *magnification,
+            numerical_aperture: *numerical_aperture,
+            nominal_um_per_px: *um_per_px,
+        });
+    }
+    Ok(all)
+}
+
+fn set(config: &Config, camera: &dyn Camera, light: Option<&Light>) -> Result<(), SetupError> {
+    if let Some(ms) = config.camera.exposure_ms {
+        let exposure = Duration::try_from_secs_f64(ms * 1e-3)
+            .map_err(|_| config.senseless(format!("camera.exposure_ms is {ms}")))?;
+        camera.set_exposure(exposure)?;
+    }
+    match (config.light.level, light) {
+        (Some(level), Some(light)) => {
+            light.set_level(level)?;
+        }
+        (Some(_), None) => {
+            return Err(config.senseless("light.level is set, but devices.light names no driver"));
+        }
+        (None, _) => {}
+    }
+    Ok(())
+}

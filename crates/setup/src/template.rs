@@ -1,0 +1,100 @@
+//! What `scopeservo init` writes.
+
+/// For an instrument of the user's.
+pub const TEMPLATE: &str = r#"# What this instrument is made of and what it may do. Units are in the names: um, deg, ms.
+# `scopeservo doctor` checks it without moving anything.
+
+name = "my microscope"
+
+# Where calibrations and saved targets are kept, from this folder on.
+# data_folder = "scopeservo-data"
+
+# "box": each axis has its whole travel. "ellipsoid": the axes share it, as those of a hexapod do.
+# workspace = "ellipsoid"
+
+# A driver is a program that speaks for one or more devices: yours, or one of those that come with scopeservo.
+[drivers.main]
+program = ["python3", "my_driver.py"]
+# or one that runs already:
+# tcp = "127.0.0.1:7414"
+# secret_file = "secret.txt"      # where it asks for one
+
+[devices]
+stage = "main"
+camera = "main"
+nosepiece = "main"                # a driver, or "by-hand" (you are asked to turn it), or "none" (one objective)
+# light = "main"
+
+# For a nosepiece by hand, or none. A driver's nosepiece brings its own.
+# [[objective]]
+# id = "10x"
+# magnification = 100             # total; orders the objectives
+# numerical_aperture = 0.25
+# um_per_px = 1.1                 # nominal size of a camera pixel on the specimen, within 30 %
+
+# Narrower than the stage's own travel. What lies outside is refused, never clipped.
+[limits]
+# x_um = [-8000, 8000]
+# y_um = [-8000, 8000]
+# z_um = [-3000, 500]
+# rz_deg = [-20, 20]
+
+# While an objective is in the beam, or may be:
+# [limits_for.40x]
+# z_um = [-3000, 120]
+
+# The longest way of one move. A retreat from the specimen may be longer.
+[largest_step]
+# x_um = 20000
+# z_um = 500
+
+# Where something is in the way: there no objective comes nearer than this.
+# [[zone]]
+# name = "the left clamp"
+# x_um = [-17000, -14000]
+# y_um = [-16000, 16000]
+# closest_z_um = -1500
+# objectives = ["40x"]            # all when left out
+
+# When the nosepiece may turn. Write down a height at which no objective can touch anything on its way.
+[objective_change]
+retract_z_um = -2000
+margin_um = 50                    # how far from the expected focus an objective stops whose focus was never found
+# or, when you are sure that nothing can touch:
+# anywhere = true
+
+[camera]
+# exposure_ms = 10
+
+[light]
+# level = 0.4                     # 0 to 1
+"#;
+
+/// For the simulated microscope.
+pub const TWIN_TEMPLATE: &str = r#"# The simulated microscope: nothing needs to be connected. Units are in the names: um, deg, ms.
+
+name = "simulated microscope"
+
+[drivers.twin.twin]
+seed = 1
+# specimen = "slide.png"          # procedural tissue without
+# um_per_px = 0.5
+centre_um = [0, 0]                # what lies under the view's centre at the start
+turned_deg = 0
+# real_time = true                # motion takes as long as it would
+
+[devices]
+stage = "twin"
+camera = "twin"
+nosepiece = "twin"
+
+# Narrower than the stage's own travel. What lies outside is refused, never clipped.
+[limits]
+x_um = [-17000, 17000]
+y_um = [-16000, 16000]
+
+# The nosepiece turns only from this height on, away from the specimen.
+[objective_change]
+retract_z_um = -2000
+margin_um = 0
+"#;
