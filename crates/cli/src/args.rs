@@ -21,21 +21,251 @@ pub(crate) enum Command {
     Demo(DemoArgs),
     /// Find one image in another: the transform from VIEW to TARGET, with a verdict.
     Register(RegisterArgs),
-    /// Calibrate an instrument (no instrument can be configured yet).
-    Calibrate,
-    /// Focus an instrument (no instrument can be configured yet).
-    Focus,
-    /// Saved views (no instrument can be configured yet).
+    /// Write a commented scopeservo.toml to describe your instrument in.
+    Init(InitArgs),
+    /// Check the instrument, device by device. Nothing moves unless you allow it.
+    Doctor(DoctorArgs),
+    /// Calibrate objectives: how pixels relate to the stage, measured without a pattern.
+    Calibrate(CalibrateArgs),
+    /// Focus with the objective in the beam.
+    Focus(FocusArgs),
+    /// Saved views.
     #[command(subcommand)]
     Target(TargetCommand),
-    /// Bring an instrument back to a saved view (no instrument can be configured yet).
-    Reposition,
+    /// Bring the instrument back to a saved view.
+    Reposition(RepositionArgs),
+    /// Drivers: programs of yours that speak for devices.
+    #[command(subcommand)]
+    Driver(DriverCommand),
+    /// The simulated microscope.
+    #[command(subcommand)]
+    Twin(TwinCommand),
+}
+
+/// Which instrument.
+#[derive(Debug, Args)]
+pub(crate) struct InstrumentArgs {
+    /// The description of the instrument.
+    #[arg(
+        long,
+        value_name = "FILE",
+        default_value = "scopeservo.toml",
+        env = "SCOPESERVO_CONFIG"
+    )]
+    pub(crate) config: PathBuf,
+    /// Allow homing when the stage needs it: it may move anything anywhere.
+    #[arg(long)]
+    pub(crate) home: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo init                  for your own instrument: edit it, then run `scopeservo doctor`
+  scopeservo init --twin           for the simulated microscope, ready to use")]
+pub(crate) struct InitArgs {
+    /// The file to write. One that is there is never overwritten.
+    #[arg(default_value = "scopeservo.toml")]
+    pub(crate) file: PathBuf,
+    /// Describe the simulated microscope.
+    #[arg(long)]
+    pub(crate) twin: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo doctor
+  scopeservo doctor --json
+  scopeservo doctor --allow-motion        also moves every axis a little, with the specimen taken out")]
+pub(crate) struct DoctorArgs {
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// Also run the conformance suite: every axis moves a little and comes back, every objective is brought into the beam. Take
+    /// the specimen out first.
+    #[arg(long)]
+    pub(crate) allow_motion: bool,
+    /// Print one JSON object on stdout instead.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo calibrate                       every objective, from the lowest magnification up
+  scopeservo calibrate --objective 40x --json")]
+pub(crate) struct CalibrateArgs {
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// An objective to calibrate; may be repeated. All of them by default.
+    #[arg(long, value_name = "ID")]
+    pub(crate) objective: Vec<String>,
+    /// Do not focus first.
+    #[arg(long)]
+    pub(crate) no_focus: bool,
+    /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo focus
+  scopeservo focus --objective 40x --range-um 20")]
+pub(crate) struct FocusArgs {
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// Bring this objective into the beam first.
+    #[arg(long, value_name = "ID")]
+    pub(crate) objective: Option<String>,
+    /// How far above and below the present height to look.
+    #[arg(long, value_name = "UM", default_value_t = 40.0)]
+    pub(crate) range_um: f64,
+    /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
 }
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum TargetCommand {
     /// Save the present view as a target.
-    Save,
+    Save(TargetSaveArgs),
+    /// List the saved targets.
+    List(TargetListArgs),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo target save mitosis-3
+  scopeservo target save mitosis-3 --objective 40x --focus")]
+pub(crate) struct TargetSaveArgs {
+    /// A name: letters, digits, '-', '_' and '.'.
+    pub(crate) name: String,
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// Bring this objective into the beam first.
+    #[arg(long, value_name = "ID")]
+    pub(crate) objective: Option<String>,
+    /// Focus first.
+    #[arg(long)]
+    pub(crate) focus: bool,
+    /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct TargetListArgs {
+    /// The description of the instrument.
+    #[arg(
+        long,
+        value_name = "FILE",
+        default_value = "scopeservo.toml",
+        env = "SCOPESERVO_CONFIG"
+    )]
+    pub(crate) config: PathBuf,
+    /// Print one JSON object on stdout instead.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo reposition mitosis-3
+  scopeservo reposition mitosis-3 --lambda 0.7 --out run --json
+  scopeservo reposition mitosis-3 --calibrate      measure the objectives anew on the way")]
+pub(crate) struct RepositionArgs {
+    /// The target's name.
+    pub(crate) name: String,
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// Calibrate each objective on the way, also those that are calibrated.
+    #[arg(long)]
+    pub(crate) calibrate: bool,
+    /// Gain: the share of the error that one iteration takes away, above 0 up to 1.
+    #[arg(
+        long,
+        value_name = "F",
+        default_value_t = 0.2,
+        allow_negative_numbers = true
+    )]
+    pub(crate) lambda: f64,
+    /// Iterations at each magnification, at most.
+    #[arg(long, value_name = "N", default_value_t = 64)]
+    pub(crate) max_iterations: usize,
+    /// Folder for the report.
+    #[arg(long, value_name = "DIR", default_value = "scopeservo-run")]
+    pub(crate) out: PathBuf,
+    /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum DriverCommand {
+    /// Run the conformance suite against a driver. Take the specimen out first.
+    Check(DriverCheckArgs),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo driver check -- python3 my_driver.py --port /dev/ttyUSB0
+  scopeservo driver check --tcp 127.0.0.1:7414
+  scopeservo driver check --retract-z-um -2000 -- node driver.mjs")]
+pub(crate) struct DriverCheckArgs {
+    /// A driver that runs already, in place of a command.
+    #[arg(long, value_name = "ADDRESS", conflicts_with = "command")]
+    pub(crate) tcp: Option<String>,
+    /// A file with the secret that it asks for.
+    #[arg(long, value_name = "FILE", requires = "tcp")]
+    pub(crate) secret_file: Option<PathBuf>,
+    /// The height from which on the nosepiece may turn. Without it objectives are not changed.
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    pub(crate) retract_z_um: Option<f64>,
+    /// Print one JSON object on stdout instead.
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// The driver's program and its arguments.
+    #[arg(last = true, value_name = "COMMAND")]
+    pub(crate) command: Vec<String>,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum TwinCommand {
+    /// Offer the simulated microscope to other programs, over the driver protocol, in real time.
+    Serve(TwinServeArgs),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo twin serve                             as a driver on standard input and output
+  scopeservo twin serve --listen 127.0.0.1:7414
+  scopeservo twin serve --listen 0.0.0.0:7414 --secret-file secret.txt")]
+pub(crate) struct TwinServeArgs {
+    /// Listen on this address and port instead of standard input and output.
+    #[arg(long, value_name = "ADDRESS")]
+    pub(crate) listen: Option<String>,
+    /// A file with a secret that callers must know; needed where other machines can call.
+    #[arg(long, value_name = "FILE", requires = "listen")]
+    pub(crate) secret_file: Option<PathBuf>,
+    /// A slide image to put under the microscope. Without it, procedural tissue grown from the seed.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) specimen: Option<PathBuf>,
+    /// Size of a file pixel on the specimen. Needed when the file does not state it.
+    #[arg(long, value_name = "UM", requires = "specimen")]
+    pub(crate) um_per_px: Option<f64>,
+    /// Seed of everything that is drawn.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) seed: u64,
+    /// What lies under the view's centre at the start, um on the specimen.
+    #[arg(long, value_name = "X,Y", value_parser = parse_pair, allow_hyphen_values = true, default_value = "0,0")]
+    pub(crate) centre_um: [f64; 2],
+    /// How far the specimen is turned.
+    #[arg(
+        long,
+        value_name = "T",
+        allow_negative_numbers = true,
+        default_value_t = 0.0
+    )]
+    pub(crate) turned_deg: f64,
 }
 
 /// Which law moves the stage.

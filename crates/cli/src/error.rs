@@ -1,7 +1,8 @@
 //! What ends the program early, and with which exit code.
 
-use scopeservo_scope::ScopeError;
+use scopeservo_scope::{ErrorKind, ScopeError};
 use scopeservo_servo::ServoError;
+use scopeservo_setup::SetupError;
 use scopeservo_slide::SlideError;
 use std::path::PathBuf;
 use thiserror::Error;
@@ -28,10 +29,10 @@ pub(crate) enum CliError {
         path: PathBuf,
         source: std::io::Error,
     },
-    #[error(
-        "this version drives the simulated microscope only, and no instrument can be configured yet; see `scopeservo demo`"
-    )]
-    NoInstrument,
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    #[error("{path} cannot be read: {what}")]
+    Read { path: PathBuf, what: String },
     #[error(transparent)]
     Servo(#[from] ServoError),
     #[error(transparent)]
@@ -49,7 +50,7 @@ impl From<ScopeError> for CliError {
 }
 
 impl CliError {
-    /// 2 where the user can mend it by other input, else 1.
+    /// 2 where the user can mend it by other input, 3 where the instrument refused, else 1.
     pub(crate) fn exit_code(&self) -> u8 {
         match self {
             Self::Usage(_)
@@ -57,8 +58,21 @@ impl CliError {
             | Self::Specimen(_)
             | Self::TooSmall { .. }
             | Self::Write { .. }
-            | Self::NoInstrument => 2,
+            | Self::Read { .. } => 2,
+            Self::Setup(error) => match error {
+                SetupError::Scope(error) => scope_code(error),
+                _ => 2,
+            },
+            Self::Servo(ServoError::Scope(error)) => scope_code(error),
             Self::Servo(_) | Self::Twin(_) | Self::Features(_) | Self::Internal(_) => 1,
         }
+    }
+}
+
+/// What the instrument refuses is an answer; a fault or a stop is none.
+fn scope_code(error: &ScopeError) -> u8 {
+    match error.kind() {
+        ErrorKind::Refused => 3,
+        _ => 1,
     }
 }

@@ -23,15 +23,22 @@ macro_rules! say {
 mod args;
 mod bench;
 mod demo;
+mod desk;
+mod doctor;
+mod driver_check;
 mod error;
+mod init;
 mod output;
 mod progress;
 mod register;
 mod scene;
+mod store;
 mod threads;
+mod twin_serve;
 mod views;
+mod work;
 
-use args::{Cli, Command};
+use args::{Cli, Command, DriverCommand, TargetCommand, TwinCommand};
 use clap::Parser;
 use error::CliError;
 use std::process::ExitCode;
@@ -46,8 +53,15 @@ fn main() -> ExitCode {
     let answer = match cli.command {
         Command::Demo(args) => demo::run(&args),
         Command::Register(args) => register::run(&args),
-        Command::Calibrate | Command::Focus | Command::Reposition => Err(CliError::NoInstrument),
-        Command::Target(_) => Err(CliError::NoInstrument),
+        Command::Init(args) => init::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Calibrate(args) => work::calibrate(&args),
+        Command::Focus(args) => work::focus(&args),
+        Command::Target(TargetCommand::Save(args)) => work::save_target(&args),
+        Command::Target(TargetCommand::List(args)) => work::list_targets(&args),
+        Command::Reposition(args) => work::reposition(&args),
+        Command::Driver(DriverCommand::Check(args)) => driver_check::run(&args),
+        Command::Twin(TwinCommand::Serve(args)) => twin_serve::run(&args),
     };
     match answer {
         Ok(true) => ExitCode::from(YES),

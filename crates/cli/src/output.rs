@@ -79,7 +79,7 @@ pub(crate) fn magnifications(outcome: &Outcome) -> Vec<MagnificationJson> {
         .collect()
 }
 
-fn calibration(c: &Calibration) -> CalibrationJson {
+pub(crate) fn calibration(c: &Calibration) -> CalibrationJson {
     let reading = c.reading();
     CalibrationJson {
         um_per_px: c.um_per_px(),

@@ -10,7 +10,7 @@ use crate::{
 };
 use scopeservo_scope::{Instrument, Length, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Settings of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -114,6 +114,9 @@ pub struct Reposition {
     legs: Vec<(ObjectiveId, bool)>,
     state: State,
     calibrations: BTreeMap<ObjectiveId, Calibration>,
+    /// Objectives whose calibration was known before the run.
+    #[serde(default)]
+    known: BTreeSet<ObjectiveId>,
     focus_um: BTreeMap<ObjectiveId, f64>,
     done: Vec<MagnificationResult>,
 }
@@ -127,13 +130,27 @@ impl Reposition {
             legs: Vec::new(),
             state: State::Begin,
             calibrations: BTreeMap::new(),
+            known: BTreeSet::new(),
             focus_um: BTreeMap::new(),
             done: Vec::new(),
         }
     }
 
-    /// Algorithm 1, lines 2 and 6: the target's objective first, for K_t; then every objective up to the target's, from
-    /// the lowest magnification on.
+    /// Takes calibrations that are known already: those objectives are not calibrated on the way.
+    #[must_use]
+    pub fn with_calibrations(
+        mut self,
+        known: impl IntoIterator<Item = (ObjectiveId, Calibration)>,
+    ) -> Self {
+        for (objective, calibration) in known {
+            self.known.insert(objective.clone());
+            self.calibrations.insert(objective, calibration);
+        }
+        self
+    }
+
+    /// Algorithm 1, lines 2 and 6: the target's objective first, for K_t, unless that is known; then every objective up to the
+    /// target's, from the lowest magnification on.
     fn plan(&mut self, scope: &Instrument) -> Result<(), ServoError> {
         let last = scope.objective(&self.target.objective)?.clone();
         let mut ladder: Vec<_> = scope
@@ -144,7 +161,7 @@ impl Reposition {
             .collect();
         ladder.sort_by(|a, b| a.magnification.total_cmp(&b.magnification));
         self.legs = ladder.iter().map(|o| (o.id.clone(), true)).collect();
-        if self.legs.len() > 1 {
+        if self.legs.len() > 1 && !self.calibrations.contains_key(&last.id) {
             self.legs.insert(0, (last.id, false));
         }
         Ok(())
@@ -218,6 +235,11 @@ impl Reposition {
                         result,
                     };
                     tell(scope, sink, event);
+                    if servo_here && self.known.contains(&objective) {
+                        self.enter(scope, sink, Phase::Servo);
+                        self.state = State::Servo(Servo::default());
+                        return Ok(None);
+                    }
                     let calibrate = Calibrate::new(
                         scope.objective(&objective)?.clone(),
                         self.options.calibrate.clone(),

@@ -1,0 +1,294 @@
+//! `scopeservo doctor`: what is there, and whether it would work. Nothing moves unless the user allows it.
+
+use crate::args::DoctorArgs;
+use crate::desk::Desk;
+use crate::error::CliError;
+use crate::output::{self, SCHEMA};
+use scopeservo_scope::conformance::{self, Check};
+use scopeservo_scope::{ChangeRule, Frame, Instrument, Motion, Samples, ScopeError};
+use scopeservo_servo::sharpness;
+use scopeservo_sift::{GrayImage, Options, Sift};
+use serde::Serialize;
+use std::time::Instant;
+
+/// With fewer features a view cannot be calibrated on.
+const ENOUGH_FEATURES: usize = 100;
+
+/// One thing that was looked at.
+#[derive(Debug, Serialize)]
+pub(crate) struct Finding {
+    /// What.
+    pub(crate) name: String,
+    /// Whether all is well.
+    pub(crate) ok: bool,
+    /// What was found.
+    pub(crate) said: String,
+}
+
+impl From<Check> for Finding {
+    fn from(check: Check) -> Self {
+        Finding {
+            name: check.name.into(),
+            ok: check.outcome.is_ok(),
+            said: check.outcome.err().unwrap_or_default(),
+        }
+    }
+}
+
+/// Prints findings, or collects them for JSON.
+pub(crate) struct Findings {
+    json: bool,
+    all: Vec<Finding>,
+}
+
+impl Findings {
+    pub(crate) fn new(json: bool) -> Self {
+        Self {
+            json,
+            all: Vec::new(),
+        }
+    }
+
+    pub(crate) fn add(&mut self, finding: Finding) {
+        if !self.json {
+            let mark = if finding.ok { "ok " } else { "NO " };
+            match finding.said.is_empty() {
+                true => say!("{mark} {}", finding.name),
+                false => say!("{mark} {}: {}", finding.name, finding.said),
+            }
+        }
+        self.all.push(finding);
+    }
+
+    fn look(&mut self, name: &str, found: Result<String, String>) {
+        let ok = found.is_ok();
+        let said = found.unwrap_or_else(|said| said);
+        self.add(Finding {
+            name: name.into(),
+            ok,
+            said,
+        });
+    }
+
+    /// The end: a sentence or the JSON, and whether all is well.
+    pub(crate) fn conclude(self, what: &str) -> Result<bool, CliError> {
+        let wrong = self.all.iter().filter(|f| !f.ok).count();
+        match self.json {
+            true => output::print(
+                &serde_json::json!({"schema": SCHEMA, "ok": wrong == 0, "findings": self.all}),
+            )?,
+            false if wrong == 0 => say!("{what}: all {} checks hold", self.all.len()),
+            false => say!("{what}: {wrong} of {} checks do not hold", self.all.len()),
+        }
+        Ok(wrong == 0)
+    }
+}
+
+fn told(error: ScopeError) -> String {
+    error.to_string()
+}
+
+pub(crate) fn run(args: &DoctorArgs) -> Result<bool, CliError> {
+    let mut findings = Findings::new(args.json);
+    let desk = match Desk::open(&args.instrument) {
+        Ok(desk) => desk,
+        // A file that cannot be understood is bad input, not a finding.
+        Err(error) if error.exit_code() == 2 && !is_device(&error) => return Err(error),
+        Err(error) => {
+            findings.look("the instrument can be opened", Err(error.to_string()));
+            return findings.conclude("doctor");
+        }
+    };
+    for (driver, name) in &desk.drivers {
+        findings.look(&format!("driver {driver}"), Ok(name.clone()));
+    }
+    stage(&desk.scope, &mut findings);
+    nosepiece(&desk.scope, &mut findings);
+    camera(&desk.scope, &mut findings);
+    kept(&desk, &mut findings);
+    if args.allow_motion {
+        for check in conformance::check_instrument(&desk.scope) {
+            findings.add(check.into());
+        }
+    } else if !args.json {
+        say!(
+            "    motion was not tried: `scopeservo doctor --allow-motion`, with the specimen taken out"
+        );
+    }
+    findings.conclude(&desk.config.name)
+}
+
+fn is_device(error: &CliError) -> bool {
+    use scopeservo_setup::SetupError;
+    matches!(
+        error,
+        CliError::Setup(SetupError::Driver(_) | SetupError::Scope(_))
+    )
+}
+
+fn stage(scope: &Instrument, findings: &mut Findings) {
+    let gate = scope.gate();
+    let axes: Vec<String> = gate
+        .ranges()
+        .iter()
+        .map(|r| {
+            format!(
+                "{} {:.0} to {:.0} {}",
+                r.axis,
+                r.axis.to_display(r.min),
+                r.axis.to_display(r.max),
+                r.axis.display_unit()
+            )
+        })
+        .collect();
+    let name = &gate.info().name;
+    findings.look("stage", Ok(format!("{name}; allowed: {}", axes.join(", "))));
+    let position = gate.position().map_err(told);
+    let shown = position.as_ref().map(|at| {
+        let each = gate.ranges().iter().filter_map(|r| {
+            let shown = r.axis.to_display(at.si(r.axis)?);
+            Some(format!("{} {shown:.2} {}", r.axis, r.axis.display_unit()))
+        });
+        each.collect::<Vec<_>>().join(", ")
+    });
+    findings.look("the stage says where it is", shown.map_err(Clone::clone));
+    if let Ok(at) = &position {
+        let inside = gate.check(at).map_err(told);
+        findings.look(
+            "it stands where it may",
+            inside.map(|()| "inside all limits".into()),
+        );
+    }
+    let still = gate.poll().map_err(told).and_then(|motion| match motion {
+        Motion::Moving => Err("it moves although nobody asked it to".into()),
+        still => Ok(format!("{still:?}").to_lowercase()),
+    });
+    findings.look("it stands still", still);
+}
+
+fn nosepiece(scope: &Instrument, findings: &mut Findings) {
+    let gate = scope.gate();
+    let all: Vec<String> = gate
+        .objectives()
+        .iter()
+        .map(|o| {
+            format!(
+                "{} ({}x, {} um/px)",
+                o.id, o.magnification, o.nominal_um_per_px
+            )
+        })
+        .collect();
+    findings.look("objectives", Ok(all.join(", ")));
+    let current = gate.current_objective().map_err(told);
+    let current = current.map(|id| {
+        id.map_or("unknown: the first change will tell".into(), |id| {
+            format!("{id} is in the beam")
+        })
+    });
+    findings.look("the nosepiece says where it is", current);
+    let rule = match gate.rules().change {
+        ChangeRule::Anywhere if gate.objectives().len() < 2 => "there is one objective".into(),
+        ChangeRule::Anywhere => "at any height, as the file says".into(),
+        ChangeRule::Retracted { z, .. } => format!("from z = {:.0} um on", z * 1e6),
+    };
+    findings.look("objectives change", Ok(rule));
+}
+
+/// Share of samples at full scale, and the mean of all, 0 to 1.
+fn levels(frame: &Frame) -> (f64, f64) {
+    let full = f64::from((1u32 << frame.bit_depth) - 1);
+    let (mut saturated, mut sum, mut count) = (0u64, 0.0, 0u64);
+    let mut take = |v: f64| {
+        saturated += u64::from(v >= full);
+        sum += v / full;
+        count += 1;
+    };
+    match &frame.samples {
+        Samples::U8(s) => s.iter().for_each(|&v| take(f64::from(v))),
+        Samples::U16(s) => s.iter().for_each(|&v| take(f64::from(v))),
+    }
+    let count = count.max(1) as f64;
+    (saturated as f64 / count, sum / count)
+}
+
+fn camera(scope: &Instrument, findings: &mut Findings) {
+    let info = scope.camera().info();
+    let bits = info.bit_depth;
+    let shape = format!(
+        "{}; {} x {} px, {bits} bits",
+        info.name, info.width, info.height
+    );
+    findings.look("camera", Ok(shape));
+    let exposure = scope.camera().exposure().map_err(told);
+    let exposure = exposure.map(|e| format!("{:.2} ms", e.as_secs_f64() * 1e3));
+    findings.look("the camera says its exposure", exposure);
+    for check in conformance::check_camera(scope) {
+        // That of the exposure changes it for a moment; it stays out where nothing was allowed.
+        if !check.name.contains("exposure") {
+            findings.add(check.into());
+        }
+    }
+    let start = Instant::now();
+    let frame = match scope.grab() {
+        Ok(frame) => frame,
+        Err(error) => return findings.look("a picture", Err(told(error))),
+    };
+    let ms = start.elapsed().as_secs_f64() * 1e3;
+    let (saturated, mean) = levels(&frame);
+    let light = format!(
+        "mean {:.0} % of full scale, {:.1} % saturated, in {ms:.0} ms",
+        100.0 * mean,
+        100.0 * saturated
+    );
+    findings.look(
+        "the picture's light",
+        match (saturated > 0.2, mean < 0.02) {
+            (true, _) => Err(format!(
+                "{light}: too bright; shorten the exposure or dim the light"
+            )),
+            (_, true) => Err(format!(
+                "{light}: dark; is the light on and the objective in place?"
+            )),
+            _ => Ok(light),
+        },
+    );
+    let features = GrayImage::new(frame.width, frame.height, frame.luminance()).and_then(|image| {
+        Ok(Sift::new(Options::default())?
+            .detect_and_describe(&image)
+            .len())
+    });
+    let seen = features.map_err(|e| e.to_string()).and_then(|n| {
+        let seen = format!("{n} features, sharpness {:.4}", sharpness(&frame));
+        match n >= ENOUGH_FEATURES {
+            true => Ok(seen),
+            false => Err(format!(
+                "{seen}: too little to calibrate or to come back to; focus, or go to a place with structure"
+            )),
+        }
+    });
+    findings.look("there is something to see", seen);
+}
+
+fn kept(desk: &Desk, findings: &mut Findings) {
+    match desk.store.calibrations() {
+        Err(error) => findings.look("calibrations", Err(error.to_string())),
+        Ok(all) => {
+            for objective in desk.scope.gate().objectives() {
+                let found = match all.get(&objective.id) {
+                    Some(kept) => format!(
+                        "{:.4} um per pixel, made {}",
+                        kept.calibration.um_per_px(),
+                        kept.made
+                    ),
+                    None => "none yet: made on the way, or by `scopeservo calibrate`".into(),
+                };
+                findings.look(&format!("calibration of {}", objective.id), Ok(found));
+            }
+        }
+    }
+    let targets = desk.store.target_names().map_err(|e| e.to_string());
+    findings.look(
+        "targets",
+        targets.map(|names| format!("{} saved", names.len())),
+    );
+}
