@@ -19,7 +19,7 @@ SAMPLE_OBJECTIVES = [
 ]
 SAMPLE_HALF_WIDTH_UM = 1000.0
 SAMPLE_MARGIN_UM = 300.0
-SAMPLE_BEADS_PER_UM2 = 1 / 80
+SAMPLE_BEADS_PER_UM2 = 1 / 250
 SAMPLE_SEED = 20240229
 
 
@@ -79,13 +79,15 @@ def load_sample(options: argparse.Namespace, until_the_end: ExitStack) -> Any:
     core = CMMCorePlus()
     _load(core)
     # The Sample takes brightness and noise from these properties.
-    core.setProperty("Camera", "Photon Flux", 5000)
-    core.setProperty("Camera", "Gain", 3)
+    core.setProperty("Camera", "Photon Flux", 4000)
+    core.setProperty("Camera", "Gain", 0)
     core.setExposure(50.0)
     for state, objective in enumerate(SAMPLE_OBJECTIVES):
         core.defineStateLabel("Objective", state, objective.id)
         core.definePixelSizeConfig(objective.id, "Objective", "Label", objective.id)
         core.setPixelSizeUm(objective.id, objective.um_per_px)
+    # The Sample reads all properties, and with them the pixel size, from this cache.
+    core.updateSystemStateCache()
     sample = Sample(_beads(), RenderConfig(backend="pil", base_blur=1.0, defocus_scale=0.2))
     until_the_end.enter_context(sample.patch(core))
     # A longer snap would keep stop waiting.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ipaddress
 import os
 import signal
@@ -153,9 +154,26 @@ def _stop_on_signals(instrument: Instrument, ends_on_interrupt: bool) -> None:
     signal.signal(signal.SIGINT, end if ends_on_interrupt else stop)
 
 
+_exit_code: int | None = None
+
+
 def _end_process(code: int = 0) -> NoReturn:
+    global _exit_code
+    _exit_code = code
     # A library's thread that never ends must not keep the process alive.
     timer = threading.Timer(EXIT_WAIT_S, os._exit, args=(code,))
     timer.daemon = True
     timer.start()
     raise SystemExit(code)
+
+
+@atexit.register
+def _exit_before_threads_are_torn_down() -> None:
+    """Registered before the clean-up of drivers, so it runs after it.
+
+    Python ends threads that are still within a C++ library in a way that aborts the process.
+    """
+    if _exit_code is not None:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(_exit_code)
