@@ -114,7 +114,7 @@ class Stage(ABC):
 
     @abstractmethod
     def motion(self) -> Motion:
-        """"moving" (under way or settling), "settled" (at its goal, or nothing ever moved), "stopped" (ended before)."""
+        """ "moving" (under way or settling), "settled" (at its goal, or nothing ever moved), "stopped" (ended before)."""
 
     @abstractmethod
     def stop(self) -> None:

@@ -39,6 +39,7 @@ class MicroManagerStage(BlockingStage):
         self._xy_label = xy_label
         self._focus_label = focus_label
         self._settle_s = settle_ms / 1000
+        self._near_um = tolerance_um
         self._goal: dict[str, float] = {}
         self.name = " and ".join(f"Micro-Manager {label}" for label in (xy_label, focus_label) if label is not None)
         self.axes = axes
@@ -58,19 +59,19 @@ class MicroManagerStage(BlockingStage):
     def _where_it_stays(self, field: str, place: Mapping[str, float]) -> float:
         # Sending an axis to its read-back again and again would make it creep by the rounding of its steps.
         last = self._goal.get(field)
-        if last is not None and abs(last - place[field]) <= self.tolerance_um:
+        if last is not None and abs(last - place[field]) <= self._near_um:
             return last
         return place[field]
 
     def move_and_wait(self, goal: Mapping[str, float]) -> None:
         started = []
-        if "x_um" in goal or "y_um" in goal:
+        if self._xy_label is not None and ("x_um" in goal or "y_um" in goal):
             place = self.position()
             x_um, y_um = (goal[f] if f in goal else self._where_it_stays(f, place) for f in ("x_um", "y_um"))
             self._goal |= {"x_um": x_um, "y_um": y_um}
             self._core.setXYPosition(self._xy_label, x_um, y_um)
             started.append(self._xy_label)
-        if "z_um" in goal and not self.background.stop_asked.is_set():
+        if self._focus_label is not None and "z_um" in goal and not self.background.stop_asked.is_set():
             self._core.setPosition(self._focus_label, goal["z_um"])
             started.append(self._focus_label)
         _wait_while_busy(self._core, started)

@@ -74,7 +74,9 @@ def load_sample(options: argparse.Namespace, until_the_end: ExitStack) -> Any:
         from pymmcore_plus import CMMCorePlus
         from pymmcore_plus.experimental.simulate import RenderConfig, Sample
     except ImportError:
-        raise OptionError("this demo needs pymmcore-plus with its simulated sample: pip install pymmcore-plus") from None
+        raise OptionError(
+            "this demo needs pymmcore-plus with its simulated sample: pip install pymmcore-plus"
+        ) from None
 
     core = CMMCorePlus()
     _load(core)

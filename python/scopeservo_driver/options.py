@@ -38,7 +38,9 @@ def address(text: str) -> tuple[str, int]:
 def add_stage_options(parser: argparse.ArgumentParser) -> None:
     """What a stage needs that its library does not know."""
     parser.add_argument("--moves", choices=MOVES, default="specimen_xy_on_top", help="what the stage carries")
-    parser.add_argument("--positive-z", choices=("closer", "apart"), help="what larger z does to objective and specimen")
+    parser.add_argument(
+        "--positive-z", choices=("closer", "apart"), help="what larger z does to objective and specimen"
+    )
     parser.add_argument(
         "--repeatability-um", type=float, default=1.0, metavar="UM", help="half-width of repeated arrivals (1 um)"
     )

@@ -61,7 +61,9 @@ class StagePart:
         self.positive_z = getattr(device, "positive_z", None)
         _declared(len(self.axes) == len(list(device.axes)) > 0, "a stage needs axes, each once")
         for axis in self.axes.values():
-            _declared(axis.axis in UNIT_OF_AXIS, f"there is no axis {axis.axis}; the axes are {', '.join(UNIT_OF_AXIS)}")
+            _declared(
+                axis.axis in UNIT_OF_AXIS, f"there is no axis {axis.axis}; the axes are {', '.join(UNIT_OF_AXIS)}"
+            )
             numbers = (axis.min, axis.max, axis.repeatability)
             _declared(all(math.isfinite(n) for n in numbers), f"the numbers of axis {axis.axis} must be finite")
             _declared(axis.min < axis.max, f"min of axis {axis.axis} must be below its max")
@@ -118,7 +120,9 @@ class StagePart:
             ends = self.axes[axis]
             if not ends.min <= place <= ends.max:
                 unit = UNIT_OF_AXIS[axis]
-                raise OutsideLimits(f"{axis} {place:g} {unit} is outside the travel, {ends.min:g} to {ends.max:g} {unit}")
+                raise OutsideLimits(
+                    f"{axis} {place:g} {unit} is outside the travel, {ends.min:g} to {ends.max:g} {unit}"
+                )
         self._check_homed()
         self._check_still()
         self.device.move({FIELD_OF_AXIS[axis]: place for axis, place in goal.items()})
@@ -148,7 +152,9 @@ class NosepiecePart:
         self.device = device
         self.name = str(getattr(device, "name", "nosepiece"))
         self.objectives = {objective.id: objective for objective in device.objectives}
-        _declared(len(self.objectives) == len(list(device.objectives)) > 0, "a nosepiece needs objectives, each id once")
+        _declared(
+            len(self.objectives) == len(list(device.objectives)) > 0, "a nosepiece needs objectives, each id once"
+        )
         for objective in self.objectives.values():
             numbers = (objective.magnification, objective.numerical_aperture, objective.um_per_px)
             _declared(

@@ -92,8 +92,8 @@ def load_core(options: argparse.Namespace, until_the_end: ExitStack) -> Any:
     """A core with the devices that the options ask for."""
     try:
         import pymmcore
-    except ImportError:
-        raise OptionError("pymmcore is missing: pip install pymmcore") from None
+    except ImportError as error:
+        raise OptionError(f"pymmcore is missing ({error}): pip install pymmcore") from None
     if options.demo == "sample":
         core = load_sample(options, until_the_end)
     elif options.demo == "beads":

@@ -103,7 +103,7 @@ def serve_tcp(
     family, _, _, _, address = socket.getaddrinfo(host or "0.0.0.0", port, type=socket.SOCK_STREAM)[0]
     if secret is not None and not secret:
         raise ValueError("the secret is empty")
-    if secret is None and not ipaddress.ip_address(address[0].split("%")[0]).is_loopback:
+    if secret is None and not ipaddress.ip_address(str(address[0]).split("%")[0]).is_loopback:
         raise ValueError(f"{host} can be reached from other machines: give a secret, or listen on 127.0.0.1")
     instrument = Instrument(stage, camera, nosepiece, light, name)
     _stop_on_signals(instrument, ends_on_interrupt=True)
@@ -125,9 +125,7 @@ def serve_tcp(
 
 def _converse(instrument: Instrument, connection: socket.socket, secret: str | None, in_use: threading.Lock) -> None:
     with connection:
-        session = Session(
-            instrument, SocketChannel(connection), secret, claim=lambda: in_use.acquire(blocking=False)
-        )
+        session = Session(instrument, SocketChannel(connection), secret, claim=lambda: in_use.acquire(blocking=False))
         try:
             session.run()
         finally:

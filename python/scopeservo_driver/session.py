@@ -120,7 +120,7 @@ class Session:
             raise BadRequest("hello was said before")
         if request.number("protocol") != PROTOCOL:
             raise Unsupported(f"this driver speaks protocol {PROTOCOL}; use a program or a driver that fits")
-        if self._secret is not None and not self._is_proven(request):
+        if self._secret is not None and not self._is_proven(request, self._secret):
             return
         said = {"protocol": PROTOCOL, "name": self._instrument.name} | self._instrument.describe()
         if not self._claim():
@@ -130,13 +130,13 @@ class Session:
         self._channel.accepted()
         self._send(encode({"id": request.id, "ok": True} | said))
 
-    def _is_proven(self, request: Request) -> bool:
+    def _is_proven(self, request: Request, secret: str) -> bool:
         if self._nonce is None:
             self._nonce = secrets.token_hex(32)
             message = "this driver asks for its secret; give it to the program"
             self._send(encode_error(request.id, "secret", message, nonce=self._nonce))
             return False
-        wanted = hmac.new(self._secret.encode("utf-8"), self._nonce.encode("ascii"), hashlib.sha256).hexdigest()
+        wanted = hmac.new(secret.encode("utf-8"), self._nonce.encode("ascii"), hashlib.sha256).hexdigest()
         given = request.fields.get("proof")
         if isinstance(given, str) and hmac.compare_digest(
             given.encode("utf-8", "backslashreplace"), wanted.encode("ascii")

@@ -346,7 +346,13 @@ class Conversation(unittest.TestCase):
 
     def test_garbage_is_answered_and_survived(self) -> None:
         client = self.talk(light=Lamp())
-        for garbage in (b"garbage\n", b"\xff\xfe\n", b'{"id":5}{"id":6}\n', b"a" * 70000 + b"\n", b'{"id":2,"level":NaN}\n'):
+        for garbage in (
+            b"garbage\n",
+            b"\xff\xfe\n",
+            b'{"id":5}{"id":6}\n',
+            b"a" * 70000 + b"\n",
+            b'{"id":2,"level":NaN}\n',
+        ):
             client.send_raw(garbage)
             self.assertEqual(self.error(client.answer(None)), "bad_request")
         client.send_raw(b'{"id":50,"call":"light"}\r\n')
