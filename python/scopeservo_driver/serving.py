@@ -9,7 +9,6 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -93,12 +92,11 @@ def serve_tcp(
     host: str = "127.0.0.1",
     port: int,
     secret: str | None = None,
-    listening: Callable[[int], None] | None = None,
 ) -> NoReturn:
     """Listen on `host` and `port` and answer one program after another, until the process is ended.
 
-    Any address but those of this machine itself needs a `secret`. `listening` is told the port when programs can connect,
-    which matters with port 0, where the system picks a free one.
+    Any address but those of this machine itself needs a `secret`. With port 0 the system picks a free one. The port is
+    written to standard error when programs can connect.
     """
     family, _, _, _, address = socket.getaddrinfo(host or "0.0.0.0", port, type=socket.SOCK_STREAM)[0]
     if secret is not None and not secret:
@@ -114,8 +112,6 @@ def serve_tcp(
         listener.bind(address)
         listener.listen()
         print(f"{name}: listening on {host} port {listener.getsockname()[1]}", file=sys.stderr, flush=True)
-        if listening is not None:
-            listening(listener.getsockname()[1])
         while True:
             connection, _ = listener.accept()
             threading.Thread(

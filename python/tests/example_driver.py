@@ -17,7 +17,10 @@ class ChattyStage(TimedStage):
     def motion(self) -> str:
         print("a library says hello")
         os.write(1, b"straight to file descriptor 1\n")
-        subprocess.run([sys.executable, "-c", "print('a child process says hello')"], check=True)
+        # It would take the program's requests away if it were given the real standard input.
+        subprocess.run(
+            [sys.executable, "-c", "import sys; print('a child process says hello', sys.stdin.read())"], check=True
+        )
         return super().motion()
 
     def stop(self) -> None:
