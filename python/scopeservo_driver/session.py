@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from .errors import BadRequest, DriverError, Refused, Unsupported
+from .errors import BadRequest, Busy, DriverError, Refused, Unsupported
 from .instrument import DEVICE_OF_CALL, Instrument, as_driver_error
 from .messages import LineSplitter, NotUnderstood, Request, encode, encode_error, parse_request
 from .parts import Reply
@@ -125,7 +125,7 @@ class Session:
         said = {"protocol": PROTOCOL, "name": self._instrument.name} | self._instrument.describe()
         if not self._claim():
             self._closing = True
-            raise Refused("another program uses this driver; end it first")
+            raise Busy("another program uses this driver; end it first")
         self.accepted = True
         self._channel.accepted()
         self._send(encode({"id": request.id, "ok": True} | said))

@@ -107,7 +107,7 @@ class Tcp(unittest.TestCase):
         client.hello()
         client.do("move", x_um=40000)
         second = self.connect()
-        self.assertEqual(second.ask("hello", protocol=1)["error"], "refused")
+        self.assertEqual(second.ask("hello", protocol=1)["error"], "busy")
         self.assertTrue(second.ended.wait(5))
         self.assertEqual(client.do("motion")["motion"], "moving")
         client.disconnect()  # type: ignore[attr-defined]

@@ -9,9 +9,11 @@ use scopeservo_scope::{Camera, Clock, Nosepiece, ScopeError, Stage};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use thiserror::Error;
 
+/// How long one waits for the program before to leave.
+const PATIENCE: Duration = Duration::from_secs(2);
 /// How long a connection may take to be made.
 const CONNECT: Duration = Duration::from_secs(5);
 
@@ -44,6 +46,14 @@ pub enum DriverError {
         driver: String,
         /// What it did instead.
         detail: String,
+    },
+    /// Another program is connected to it.
+    #[error(
+        "the driver at {driver} serves another program, and only one at a time; end that first"
+    )]
+    Taken {
+        /// Which.
+        driver: String,
     },
     /// It wants a secret.
     #[error("the driver at {driver} asks for a secret: name the file that holds it")]
@@ -139,11 +149,28 @@ impl Driver {
             address: address.into(),
             source,
         };
+        // The program before us may still be leaving.
+        let start = Instant::now();
+        loop {
+            match Self::connect_once(address, secret, &failed) {
+                Err(DriverError::Taken { .. }) if start.elapsed() < PATIENCE => {
+                    std::thread::sleep(Duration::from_millis(50));
+                }
+                answer => return answer,
+            }
+        }
+    }
+
+    fn connect_once(
+        address: &str,
+        secret: Option<&Secret>,
+        failed: &dyn Fn(std::io::Error) -> DriverError,
+    ) -> Result<Self, DriverError> {
         let mut last = std::io::ErrorKind::AddrNotAvailable.into();
-        for socket in address.to_socket_addrs().map_err(failed)? {
+        for socket in address.to_socket_addrs().map_err(&failed)? {
             match TcpStream::connect_timeout(&socket, CONNECT) {
                 Ok(stream) => {
-                    let link = Link::tcp(stream).map_err(failed)?;
+                    let link = Link::tcp(stream).map_err(&failed)?;
                     return Self::greet(link, address.into(), secret);
                 }
                 Err(error) => last = error,
@@ -180,11 +207,14 @@ impl Driver {
             }
             answer => answer,
         };
-        let reply = answer.map_err(|error| {
-            bad(match error {
-                CallError::Said { message, .. } => message,
-                CallError::Lost(reason) => reason,
-            })
+        let reply = answer.map_err(|error| match error {
+            CallError::Said {
+                code: Code::Busy, ..
+            } => DriverError::Taken {
+                driver: shown.clone(),
+            },
+            CallError::Said { message, .. } => bad(message),
+            CallError::Lost(reason) => bad(reason),
         })?;
         let hello: Hello = serde_json::from_value(serde_json::Value::Object(reply.object))
             .map_err(|error| bad(format!("its reply is not one: {error}")))?;

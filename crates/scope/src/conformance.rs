@@ -50,6 +50,13 @@ fn run_and_return(
     let outcome = check();
     let back = || -> Result<(), ScopeError> {
         scope.gate().stop()?;
+        // What was told to stop may take a moment to stand.
+        for _ in 0..STAND_STILL_POLLS {
+            if scope.gate().poll()? != Motion::Moving {
+                break;
+            }
+            scope.clock().sleep(Duration::from_millis(10));
+        }
         scope.move_to(&home?)?;
         Ok(())
     };
@@ -59,6 +66,9 @@ fn run_and_return(
     };
     Check { name, outcome }
 }
+
+/// A stage that was stopped stands within two seconds.
+const STAND_STILL_POLLS: u32 = 200;
 
 /// x or y: the only axes that a long move is made along.
 fn long_axis(stage: &MotionGate) -> Result<Axis, String> {

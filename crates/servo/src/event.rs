@@ -69,7 +69,7 @@ pub enum Event {
     FocusSample {
         /// Stage height, um.
         z_um: f64,
-        /// Mean |Laplacian| of the luminance.
+        /// Mean |Laplacian| of the luminance over its mean.
         sharpness: f64,
     },
     /// A focus was found.

@@ -1,4 +1,5 @@
-//! Autofocus, the paper's section IV-B.1: sweep a range of heights, take the one with the largest mean |Laplacian|.
+//! Autofocus, the paper's section IV-B.1: sweep a range of heights, take the one with the largest mean |Laplacian|, here over the mean
+//! luminance.
 //!
 //! The sweep is done twice, coarse over the candidate range and fine around its best, and the peak is a parabola through
 //! the best samples. A sweep without a peak is an answer of its own: the stage goes back to where it started.
@@ -48,7 +49,8 @@ pub struct FocusResult {
     pub samples: usize,
 }
 
-/// Mean |Laplacian| of the luminance (4-neighbour mask, inner pixels), in units of full scale.
+/// Mean |Laplacian| of the luminance (4-neighbour mask, inner pixels) over its mean: light that changes with the height, or
+/// flickers, is no sharpness. 0 for a black frame.
 pub fn sharpness(frame: &Frame) -> f64 {
     let (w, h) = (frame.width, frame.height);
     if w < 3 || h < 3 {
@@ -63,7 +65,11 @@ pub fn sharpness(frame: &Frame) -> f64 {
             .sum();
         sum += f64::from(line);
     }
-    sum / ((w - 2) * (h - 2)) as f64
+    let mean = l.iter().map(|&v| f64::from(v)).sum::<f64>() / l.len() as f64;
+    match mean > 0.0 {
+        true => sum / ((w - 2) * (h - 2)) as f64 / mean,
+        false => 0.0,
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -294,9 +300,12 @@ mod tests {
     fn a_slope_has_no_laplacian_and_an_edge_has() {
         assert_eq!(sharpness(&frame(|_, _| 77)), 0.0);
         assert!(sharpness(&frame(|x, y| (3 * x + 2 * y) as u8)) < 1e-6);
-        // One full-scale step between two columns: |L| = 1 on both sides of it, 2 of 30 inner columns.
-        let edge = sharpness(&frame(|x, _| if x < 16 { 0 } else { 255 }));
-        assert!((edge - 2.0 / 30.0).abs() < 1e-6, "{edge}");
+        // One step between two columns: |L| is its height on both sides of it, 2 of 30 inner columns; the mean is half of it.
+        for high in [255, 100] {
+            let edge = sharpness(&frame(|x, _| if x < 16 { 0 } else { high }));
+            assert!((edge - 2.0 / 30.0 / 0.5).abs() < 1e-6, "{edge}");
+        }
+        assert_eq!(sharpness(&frame(|_, _| 0)), 0.0);
     }
 
     #[test]

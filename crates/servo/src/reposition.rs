@@ -289,7 +289,8 @@ impl Reposition {
                         objective,
                         end: end.clone(),
                     });
-                    return Ok(self.after_servo(end));
+                    let seen = servo.seen();
+                    return Ok(self.after_servo(end, seen));
                 }
             }
         }
@@ -301,16 +302,21 @@ impl Reposition {
         self.state = State::Switch;
     }
 
-    /// The answer when a loop's end is the run's end.
-    fn after_servo(&mut self, end: ServoEnd) -> Option<Outcome> {
+    /// The answer when a loop's end is the run's end. A target that was seen and lost again may be seen better by the next objective.
+    fn after_servo(&mut self, end: ServoEnd, seen: bool) -> Option<Outcome> {
         let at = self.done.last().map_or(0.0, |d| d.magnification);
         match end {
             ServoEnd::Converged(_) if self.legs.len() > 1 => {
                 self.next_leg();
                 None
             }
+            ServoEnd::Lost(_) if seen && self.legs.len() > 1 => {
+                self.next_leg();
+                None
+            }
             ServoEnd::Converged(result)
-                if result.error.angle_deg().abs() > self.options.servo.angle_deg.max(0.02) =>
+                if result.error.angle_deg().abs() - 2.0 * result.sigma_deg
+                    > self.options.servo.angle_deg.max(0.02) =>
             {
                 let message = format!(
                     "the place is back, {:.2} um off, but {:.3} deg are left and this stage cannot turn: turn the specimen \

@@ -96,6 +96,9 @@ pub struct ServoResult {
     /// Standard deviation of the error's distance, um: of the registration, and after convergence of the confirming frames
     /// among themselves (vibration, drift).
     pub sigma_um: f64,
+    /// Standard deviation of the error's angle, degrees, of the registration.
+    #[serde(default)]
+    pub sigma_deg: f64,
 }
 
 /// The loop's state.
@@ -109,6 +112,11 @@ pub struct Servo {
 }
 
 impl Servo {
+    /// Whether the target was seen at all.
+    pub fn seen(&self) -> bool {
+        self.first.is_some()
+    }
+
     /// One iteration.
     ///
     /// # Errors
@@ -228,6 +236,7 @@ impl Servo {
                 estimate.sigma_px * std::f64::consts::SQRT_2 * task.target_calibration.um_per_px(),
                 scatter_um(&self.passed),
             ),
+            sigma_deg: estimate.sigma_angle_rad.to_degrees(),
         };
         let far = 10.0 * task.view_calibration.um_per_px() * 1e-6;
         if self.passed.len() >= options.confirmations.max(1) {

@@ -86,9 +86,32 @@ pub struct TwinConfig {
     /// How far the specimen is turned.
     #[serde(default)]
     pub turned_deg: f64,
+    /// Which stage it has.
+    #[serde(default)]
+    pub stage: TwinStage,
+    /// Which objectives it has; all three without.
+    pub objectives: Option<Vec<String>>,
+    /// Whether the camera mirrors.
+    #[serde(default)]
+    pub mirrored: bool,
     /// Whether motion takes as long as it would; otherwise a minute passes in a second.
     #[serde(default)]
     pub real_time: bool,
+}
+
+/// The stages of the simulated microscope.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TwinStage {
+    /// Six axes; it carries the microscope.
+    #[default]
+    Hexapod,
+    /// x, y, focus and a turning plate on top; they carry the specimen.
+    XyzTheta,
+    /// x, y and focus.
+    Xyz,
+    /// x and y: somebody focuses by hand.
+    Xy,
 }
 
 fn one() -> u64 {

@@ -11,7 +11,7 @@ mod rules;
 mod template;
 
 pub use by_hand::Ask;
-pub use config::{Config, DeviceName, DriverConfig, ObjectiveConfig, TwinConfig};
+pub use config::{Config, DeviceName, DriverConfig, ObjectiveConfig, TwinConfig, TwinStage};
 pub use error::SetupError;
 pub use open::{Consent, Opened, open};
 pub use template::{TEMPLATE, TWIN_TEMPLATE};

@@ -2,7 +2,7 @@
 
 use crate::SetupError;
 use crate::by_hand::{Ask, ByHand};
-use crate::config::{Config, DriverConfig, ObjectiveConfig, TwinConfig};
+use crate::config::{Config, DriverConfig, ObjectiveConfig, TwinConfig, TwinStage};
 use crate::rules::rules;
 use scopeservo_driver::{Devices, Driver, Light, Secret};
 use scopeservo_scope::{
@@ -10,7 +10,7 @@ use scopeservo_scope::{
     ScopeError, Stage, SystemClock, VirtualClock,
 };
 use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
-use scopeservo_twin::{Config as Make, Twin};
+use scopeservo_twin::{Config as Make, StageConfig, Twin};
 use std::collections::BTreeMap;
 use std::fs;
 use std::sync::Arc;
@@ -212,7 +212,22 @@ fn simulated(
         )?),
         None => Arc::new(Tissue::new(settings.seed)),
     };
-    let twin = Twin::new(Make::realistic(), specimen, settings.seed, clock.clone())?;
+    let mut make = Make::realistic().with_stage(match settings.stage {
+        TwinStage::Hexapod => StageConfig::hexapod(),
+        TwinStage::XyzTheta => StageConfig::xyz_theta(),
+        TwinStage::Xyz => StageConfig::xyz(),
+        TwinStage::Xy => StageConfig::xy(),
+    });
+    make.mount.mirrored = settings.mirrored;
+    if let Some(wanted) = &settings.objectives {
+        let known: Vec<String> = make.optics.iter().map(|o| o.id.0.clone()).collect();
+        if let Some(id) = wanted.iter().find(|id| !known.contains(id)) {
+            let known = known.join(", ");
+            return Err(config.senseless(format!("the twin has no objective {id}; it has {known}")));
+        }
+        make.optics.retain(|o| wanted.contains(&o.id.0));
+    }
+    let twin = Twin::new(make, specimen, settings.seed, clock.clone())?;
     let numbers = [
         settings.centre_um[0],
         settings.centre_um[1],

@@ -81,6 +81,9 @@ seed = 1
 # um_per_px = 0.5
 centre_um = [0, 0]                # what lies under the view's centre at the start
 turned_deg = 0
+# stage = "hexapod"               # or "xyz-theta", "xyz", "xy"
+# objectives = ["10x", "40x"]     # of 10x, 20x, 40x
+# mirrored = true                 # the camera's picture is mirrored
 # real_time = true                # motion takes as long as it would
 
 [devices]

@@ -339,6 +339,7 @@ impl Teller {
                     inliers: 240,
                     error,
                     sigma_um: 0.12 * um,
+                    sigma_deg: 0.002,
                 };
                 self.results.push(MagnificationResult {
                     objective: view.objective.clone(),
