@@ -1,0 +1,1 @@
+//! Emulated controllers on a TCP port of this machine, with faults to order. They share no code with the codecs.
