@@ -12,6 +12,7 @@
 //!   question. The driver then sends the stop command, closes the link, and every later call says so.
 
 pub mod emulator;
+pub mod gcode;
 pub mod gcs2;
 pub mod link;
 mod session;

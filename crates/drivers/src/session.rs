@@ -26,32 +26,40 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 pub(crate) struct Session {
     transport: Box<dyn Transport>,
-    /// Held while bytes are written.
-    writing: Mutex<()>,
+    /// Held while bytes are written: how many answers to stops nobody has waited for yet.
+    writing: Mutex<u32>,
     /// Held for a whole exchange.
     reader: Mutex<LineReader>,
     /// Why the link was closed.
     closed: Mutex<Option<String>>,
     /// How many stops were asked for.
     stops: AtomicU64,
-    stop_bytes: &'static [u8],
+    stop: StopBytes,
     reply_timeout: Duration,
+}
+
+/// How a device is told to stop.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StopBytes {
+    pub(crate) bytes: &'static [u8],
+    /// Whether it answers, in its turn.
+    pub(crate) answered: bool,
 }
 
 impl Session {
     pub(crate) fn new(
         transport: Box<dyn Transport>,
-        stop_bytes: &'static [u8],
+        stop: StopBytes,
         max_line_bytes: usize,
         reply_timeout: Duration,
     ) -> Self {
         Self {
             transport,
-            writing: Mutex::new(()),
+            writing: Mutex::new(0),
             reader: Mutex::new(LineReader::new(max_line_bytes)),
             closed: Mutex::new(None),
             stops: AtomicU64::new(0),
-            stop_bytes,
+            stop,
             reply_timeout,
         }
     }
@@ -68,6 +76,7 @@ impl Session {
         Ok(Exchange {
             session: self,
             reader,
+            owed: 0,
         })
     }
 
@@ -77,8 +86,9 @@ impl Session {
         self.stops.fetch_add(1, Ordering::SeqCst);
         self.check_open()?;
         let written = {
-            let _writing = lock(&self.writing);
-            self.transport.write(self.stop_bytes)
+            let mut writing = lock(&self.writing);
+            *writing += u32::from(self.stop.answered);
+            self.transport.write(self.stop.bytes)
         };
         written.map_err(|e| self.fail(&e))
     }
@@ -110,7 +120,7 @@ impl Session {
             *closed = Some(why.to_string());
             let _writing = lock(&self.writing);
             // A device whose answers nobody can read must not go on moving; it may be past hearing.
-            let _ = self.transport.write(self.stop_bytes);
+            let _ = self.transport.write(self.stop.bytes);
             self.transport.close();
         }
     }
@@ -129,6 +139,8 @@ impl Session {
 pub(crate) struct Exchange<'a> {
     session: &'a Session,
     reader: MutexGuard<'a, LineReader>,
+    /// How many answers to stops come before the answer to what was sent last.
+    owed: u32,
 }
 
 impl Exchange<'_> {
@@ -136,13 +148,20 @@ impl Exchange<'_> {
         Instant::now() + self.session.reply_timeout
     }
 
-    /// Sends bytes. Nothing may be left over from the exchange before.
+    /// How many answers to stops come before the next answer, each told once.
+    pub(crate) fn take_owed(&mut self) -> u32 {
+        std::mem::take(&mut self.owed)
+    }
+
+    /// The same when nothing was sent: for the one who asked for the stop.
+    pub(crate) fn take_owed_now(&mut self) -> u32 {
+        let mut writing = lock(&self.session.writing);
+        std::mem::take(&mut self.owed) + std::mem::take(&mut *writing)
+    }
+
+    /// Sends bytes.
     pub(crate) fn send(&mut self, bytes: &[u8]) -> Result<(), ScopeError> {
-        let written = {
-            let _writing = lock(&self.session.writing);
-            self.session.transport.write(bytes)
-        };
-        written.map_err(|e| self.session.fail(&e))
+        self.send_if(bytes, None)
     }
 
     /// Sends bytes that start a move, but not when a stop was asked for since `stops` was read.
@@ -151,11 +170,16 @@ impl Exchange<'_> {
         bytes: &[u8],
         stops: u64,
     ) -> Result<(), ScopeError> {
+        self.send_if(bytes, Some(stops))
+    }
+
+    fn send_if(&mut self, bytes: &[u8], stops: Option<u64>) -> Result<(), ScopeError> {
         let written = {
-            let _writing = lock(&self.session.writing);
-            if self.session.stops() != stops {
+            let mut writing = lock(&self.session.writing);
+            if stops.is_some_and(|s| s != self.session.stops()) {
                 return Err(ScopeError::Interrupted { at: None });
             }
+            self.owed += std::mem::take(&mut *writing);
             self.session.transport.write(bytes)
         };
         written.map_err(|e| self.session.fail(&e))
@@ -171,6 +195,20 @@ impl Exchange<'_> {
         self.reader
             .text(&*self.session.transport, deadline)
             .map_err(|e| self.session.fail(&e))
+    }
+
+    /// A line if one comes until `deadline`; what came of the next one is kept.
+    pub(crate) fn line_if_any(&mut self, deadline: Instant) -> Result<Option<String>, ScopeError> {
+        match self.reader.text(&*self.session.transport, deadline) {
+            Ok(line) => Ok(Some(line)),
+            Err(LinkError::Silence | LinkError::HalfLine { .. }) => Ok(None),
+            Err(e) => Err(self.session.fail(&e)),
+        }
+    }
+
+    /// An answer that did not come in the time that it may take.
+    pub(crate) fn overdue(&self) -> ScopeError {
+        self.session.fail(&LinkError::Silence)
     }
 
     /// Whether bytes have come that no answer accounts for.

@@ -1,5 +1,6 @@
 //! Emulated controllers on a TCP port of this machine, with faults to order. They share no code with the codecs.
 
+pub mod gcode;
 pub mod gcs2;
 mod server;
 

@@ -3,7 +3,7 @@
 use crate::gcs2::codec::{self, AxisName, CodecError, Command};
 use crate::gcs2::settings::{AxisPlan, Gcs2Settings};
 use crate::link::Transport;
-use crate::session::{Exchange, Session, bad_setting, device, lock};
+use crate::session::{Exchange, Session, StopBytes, bad_setting, device, lock};
 use scopeservo_scope::{Axis, AxisInfo, Length, Motion, ScopeError, Stage, StageInfo, StagePose};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
@@ -57,7 +57,10 @@ impl Gcs2Stage {
         let names: Vec<AxisName> = plans.iter().map(|p| p.name.clone()).collect();
         let session = Session::new(
             transport,
-            &[codec::STOP_ALL],
+            StopBytes {
+                bytes: &[codec::STOP_ALL],
+                answered: false,
+            },
             codec::MAX_LINE_BYTES,
             settings.reply_timeout(),
         );
