@@ -15,4 +15,5 @@ pub mod emulator;
 pub mod gcode;
 pub mod gcs2;
 pub mod link;
+pub mod sangaboard;
 mod session;

@@ -211,6 +211,12 @@ impl Exchange<'_> {
         self.session.fail(&LinkError::Silence)
     }
 
+    /// Whether bytes have come that neither an answer nor a stop accounts for.
+    pub(crate) fn has_stray(&self) -> bool {
+        let writing = lock(&self.session.writing);
+        self.reader.has_more() && self.owed == 0 && *writing == 0
+    }
+
     /// Whether bytes have come that no answer accounts for.
     pub(crate) fn has_more(&self) -> bool {
         self.reader.has_more()

@@ -177,7 +177,7 @@ impl Board {
         let (body, sum) = line.rsplit_once('*')?;
         let (number, _) = rest.split_once(' ')?;
         let number: i64 = number.parse().ok()?;
-        let text = &body[number.to_string().len() + 2..];
+        let (_, text) = body.split_once(' ')?;
         let mut right = body.bytes().fold(0, |s, b| s ^ b).to_string() == sum;
         if self.damage > 0 {
             self.damage -= 1;
@@ -240,10 +240,13 @@ impl Board {
         let from = self.place();
         let mut goal = self.goal;
         for word in words {
-            let Ok(value) = word[1..].parse::<f64>() else {
+            let (Some(letter), Some(value)) = (word.get(..1), word.get(1..)) else {
                 continue;
             };
-            let at = match &word[..1] {
+            let Ok(value) = value.parse::<f64>() else {
+                continue;
+            };
+            let at = match letter {
                 "X" => 0,
                 "Y" => 1,
                 "Z" => 2,

@@ -2,6 +2,7 @@
 
 pub mod gcode;
 pub mod gcs2;
+pub mod sangaboard;
 mod server;
 
 pub use server::{Fault, Server};
