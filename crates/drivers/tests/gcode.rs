@@ -198,7 +198,10 @@ fn stops_on_the_way_are_quick_while_another_thread_polls() {
     let mut err = std::io::stderr();
     std::io::Write::write_fmt(
         &mut err,
-        format_args!("stop: median {:?}, slowest of 50 {:?}\n", took[24], took[49]),
+        format_args!(
+            "stop: median {:?}, slowest of 50 {:?}\n",
+            took[24], took[49]
+        ),
     )
     .unwrap();
     assert!(took[49] < Duration::from_millis(250), "{:?}", took[49]);
