@@ -253,7 +253,8 @@ fn a_stage_that_is_not_homed_says_so_and_moves_only_when_told_to_home() {
     ] {
         assert!(why.contains("not homed"), "{why}");
     }
-    assert!(!emulator.heard().iter().any(|l| l.starts_with("FRF ")));
+    let moves = |l: &String| l.starts_with("FRF ") || l.starts_with("MOV");
+    assert!(!emulator.heard().iter().any(moves));
     stage.home().unwrap();
     assert_eq!(stage.poll().unwrap(), Motion::Moving);
     assert!(!stage.is_homed().unwrap());
@@ -430,7 +431,9 @@ fn a_stop_while_a_move_is_prepared_keeps_it_from_starting() {
     let stage = Gcs2Stage::connect(Box::new(Between(between.clone())), &settings()).unwrap();
     thread::scope(|s| {
         let starts = s.spawn(|| stage.start_move(&pose(Axis::X, 15e-3)));
+        let start = Instant::now();
         while !between.holds.load(SeqCst) {
+            assert!(start.elapsed() < Duration::from_secs(2), "it never asks");
             thread::sleep(Duration::from_millis(1));
         }
         stage.stop().unwrap();

@@ -595,3 +595,34 @@ fn steps_of(ex: &Exchange<'_>, report: &Report, axis: &GcodeAxis) -> Result<i64,
         .steps_of(axis.letter)
         .ok_or_else(|| ex.nonsense(format!("the position (M114) has no {}", axis.letter)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::emulator::gcode::{EmulatedBoard, GcodeEmulator};
+    use crate::link::Tcp;
+
+    #[test]
+    fn the_answer_to_a_stop_before_it_does_not_end_homing() {
+        let emulator = GcodeEmulator::serve(EmulatedBoard::new()).unwrap();
+        let settings = r#"{
+            "kinematics": "specimen_xy_on_top", "positive_z": "apart", "speed_um_per_s": 2000, "needs_homing": true,
+            "boot_ms": 0,
+            "axes": [{"axis": "x", "letter": "X", "min_um": 0, "max_um": 50000, "steps_per_mm": 400, "repeatability_um": 5}]
+        }"#;
+        let tcp = Tcp::connect(&emulator.address(), Duration::from_secs(2)).unwrap();
+        let settings = serde_json::from_str(settings).unwrap();
+        let stage = GcodeStage::connect(Box::new(tcp), &settings).unwrap();
+        // A stop whose caller has not come to read the answer yet.
+        stage.session.send_stop().unwrap();
+        stage.home().unwrap();
+        let start = Instant::now();
+        while start.elapsed() < Duration::from_millis(100) {
+            assert_eq!(stage.poll().unwrap(), Motion::Moving);
+        }
+        while stage.poll().unwrap() == Motion::Moving {
+            assert!(start.elapsed() < Duration::from_secs(3));
+        }
+        assert!(stage.is_homed().unwrap());
+    }
+}
