@@ -497,4 +497,44 @@ mod tests {
             "{answer:?}"
         );
     }
+
+    #[cfg(all(feature = "serial", unix))]
+    #[test]
+    fn a_serial_port_reads_while_another_thread_writes_and_keeps_its_time_outs() {
+        use serialport::{SerialPort, TTYPort};
+        let (mut device, mut port) = TTYPort::pair().unwrap();
+        port.set_exclusive(false).unwrap();
+        device.set_timeout(Duration::from_secs(2)).unwrap();
+        let name = port.name().unwrap();
+        // Only one may have it open.
+        drop(port);
+        let serial = Serial::open(&name, 115_200).unwrap();
+        let mut reader = LineReader::new(80);
+        let start = Instant::now();
+        thread::scope(|s| {
+            s.spawn(|| {
+                // Only what is written while the reader waits is answered.
+                let mut heard = [0; 5];
+                device.read_exact(&mut heard).unwrap();
+                assert_eq!(&heard, b"stop\n");
+                device.write_all(b"Move aborted\r\n1").unwrap();
+            });
+            s.spawn(|| {
+                thread::sleep(Duration::from_millis(60));
+                serial.write(b"stop\n").unwrap();
+            });
+            let line = reader.text(&serial, start + Duration::from_secs(2));
+            assert_eq!(line.unwrap(), "Move aborted");
+        });
+        assert!(start.elapsed() >= Duration::from_millis(60));
+        let start = Instant::now();
+        let half = reader.text(&serial, start + TIMEOUT);
+        assert_eq!(half, Err(LinkError::HalfLine { bytes: 1 }));
+        assert!(start.elapsed() >= TIMEOUT);
+        in_time(start.elapsed());
+        serial.close();
+        let later = Instant::now() + TIMEOUT;
+        assert_eq!(serial.read(&mut [0; 8], later), Err(LinkError::Closed));
+        assert_eq!(serial.write(b"p?\n"), Err(LinkError::Closed));
+    }
 }
