@@ -4,7 +4,7 @@ use crate::args::DriverCheckArgs;
 use crate::desk::rein_in;
 use crate::doctor::{Finding, Findings};
 use crate::error::CliError;
-use scopeservo_driver::{Devices, Driver, Secret};
+use scopeservo_protocol::{Devices, Driver, Secret};
 use scopeservo_scope::{
     Camera, CameraInfo, CancelToken, ChangeRule, Channels, Clock, Frame, Instrument, Kinematics,
     Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError, Stage,
@@ -171,7 +171,7 @@ fn stop_is_quick(scope: &Instrument, camera: bool) -> Finding {
     }
 }
 
-fn light_is_set(light: &scopeservo_driver::Light) -> Finding {
+fn light_is_set(light: &scopeservo_protocol::Light) -> Finding {
     let outcome = (|| {
         let before = light.level()?;
         let set = light.set_level(if before > 0.5 { 0.25 } else { 0.75 })?;

@@ -3,7 +3,7 @@
 use crate::args::TwinServeArgs;
 use crate::driver_check::read_secret;
 use crate::error::CliError;
-use scopeservo_driver::{Offer, listen, serve};
+use scopeservo_protocol::{Offer, listen, serve};
 use scopeservo_scope::{Clock, SystemClock};
 use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
 use scopeservo_twin::{Config, Twin};

@@ -1,6 +1,6 @@
 //! What can be wrong with a description of an instrument, or with finding the instrument.
 
-use scopeservo_driver::DriverError;
+use scopeservo_protocol::DriverError;
 use scopeservo_scope::ScopeError;
 use scopeservo_twin::TwinError;
 use scopeservo_twin::specimen::SpecimenError;

@@ -4,7 +4,7 @@ use crate::SetupError;
 use crate::by_hand::{Ask, ByHand};
 use crate::config::{Config, DriverConfig, ObjectiveConfig, TwinConfig, TwinStage};
 use crate::rules::rules;
-use scopeservo_driver::{Devices, Driver, Light, Secret};
+use scopeservo_protocol::{Devices, Driver, Light, Secret};
 use scopeservo_scope::{
     Camera, CancelToken, Clock, Instrument, Motion, MotionGate, Nosepiece, Objective, ObjectiveId,
     ScopeError, Stage, SystemClock, VirtualClock,

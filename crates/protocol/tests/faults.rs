@@ -1,6 +1,6 @@
 //! Drivers that are silent, die, or talk nonsense: a typed error within the time of the page, and a stop on the way out.
 
-use scopeservo_driver::{Devices, Driver, DriverError};
+use scopeservo_protocol::{Devices, Driver, DriverError};
 use scopeservo_scope::{Axis, Clock, ScopeError, StagePose, SystemClock};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};

@@ -2,7 +2,7 @@
 
 #![expect(clippy::print_stdout, reason = "a test may tell what it measured")]
 
-use scopeservo_driver::{Driver, DriverError, Offer, Secret, listen};
+use scopeservo_protocol::{Driver, DriverError, Offer, Secret, listen};
 use scopeservo_scope::{
     Axis, CancelToken, ChangeRule, Clock, Instrument, Motion, MotionGate, Rules, StagePose,
     SystemClock, conformance,

@@ -1,0 +1,211 @@
+//! What the driver must be told about a stage, since the board does not say it.
+
+use crate::gcode::codec;
+use crate::session::bad_setting;
+use scopeservo_scope::{Axis, AxisInfo, Kinematics, Length, PositiveZ, ScopeError};
+use serde::Deserialize;
+use std::collections::HashSet;
+
+/// An axis that shifts.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GcodeAxis {
+    /// Which of our axes it is: x, y or z.
+    pub axis: Axis,
+    /// The board's letter for it.
+    pub letter: char,
+    /// Lower end of travel, in the board's coordinates.
+    pub min_um: f64,
+    /// Upper end of travel, in the board's coordinates.
+    pub max_um: f64,
+    /// Steps for a millimetre, as the firmware counts them (M92).
+    pub steps_per_mm: f64,
+    /// Half-width of the interval in which repeated arrivals at one place end.
+    pub repeatability_um: f64,
+}
+
+/// How a stage on a G-code board is set up.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GcodeSettings {
+    /// Which side moves.
+    pub kinematics: Kinematics,
+    /// What positive z does, on this microscope.
+    pub positive_z: PositiveZ,
+    /// The axes.
+    pub axes: Vec<GcodeAxis>,
+    /// Speed of every move.
+    pub speed_um_per_s: f64,
+    /// Whether positions mean nothing until the stage was homed. `false` for a stage without end switches, whose zero is
+    /// where it stood when the board started.
+    pub needs_homing: bool,
+    /// Whether to drive a board that does not report EMERGENCY_PARSER. A stop then waits until the board reads its next
+    /// line, which it may not do while it homes.
+    #[serde(default)]
+    pub allow_queued_stop: bool,
+    /// Whether commands are sent with numbers and checksums, so that a damaged one is not obeyed.
+    #[serde(default = "yes")]
+    pub checksums: bool,
+    /// How long the board may take to start: many do when a serial port is opened.
+    #[serde(default = "three_seconds")]
+    pub boot_ms: u64,
+    /// How long one answer may take, or the next sign that the board is busy with it.
+    #[serde(default = "three_seconds")]
+    pub reply_timeout_ms: u64,
+    /// How long the board may be busy with one command, homing aside.
+    #[serde(default = "half_a_minute")]
+    pub busy_timeout_ms: u64,
+    /// How long homing may take.
+    #[serde(default = "two_minutes")]
+    pub homing_timeout_ms: u64,
+    /// How long the steppers may go on after a stop.
+    #[serde(default = "second")]
+    pub stop_timeout_ms: u64,
+    /// A move whose steppers have not moved for so long has ended.
+    #[serde(default = "second")]
+    pub stall_timeout_ms: u64,
+}
+
+fn yes() -> bool {
+    true
+}
+fn second() -> u64 {
+    1000
+}
+fn three_seconds() -> u64 {
+    3000
+}
+fn half_a_minute() -> u64 {
+    30_000
+}
+fn two_minutes() -> u64 {
+    120_000
+}
+
+impl GcodeAxis {
+    /// SI metres of a number of steps.
+    pub(crate) fn si(&self, steps: i64) -> f64 {
+        steps as f64 / self.steps_per_mm * 1e-3
+    }
+    /// The nearest number of steps to SI metres.
+    pub(crate) fn steps(&self, si: f64) -> i64 {
+        (si * 1e3 * self.steps_per_mm).round() as i64
+    }
+}
+
+impl GcodeSettings {
+    /// The axes as the contract describes them, when everything makes sense.
+    pub(crate) fn checked(&self) -> Result<Vec<AxisInfo>, ScopeError> {
+        if self.axes.is_empty() {
+            return Err(bad_setting("the settings name no axis"));
+        }
+        let axes: HashSet<_> = self.axes.iter().map(|a| a.axis).collect();
+        let letters: HashSet<_> = self.axes.iter().map(|a| a.letter).collect();
+        if axes.len() != self.axes.len() || letters.len() != self.axes.len() {
+            return Err(bad_setting(
+                "an axis or a letter stands in the settings twice",
+            ));
+        }
+        if !(self.speed_um_per_s.is_finite() && self.speed_um_per_s > 0.0) {
+            return Err(bad_setting("speed_um_per_s must be positive"));
+        }
+        for (what, ms, least) in [
+            ("boot_ms", self.boot_ms, 0),
+            ("reply_timeout_ms", self.reply_timeout_ms, 10),
+            ("busy_timeout_ms", self.busy_timeout_ms, 10),
+            ("homing_timeout_ms", self.homing_timeout_ms, 10),
+            ("stop_timeout_ms", self.stop_timeout_ms, 10),
+            ("stall_timeout_ms", self.stall_timeout_ms, 10),
+        ] {
+            if !(least..=600_000).contains(&ms) {
+                return Err(bad_setting(format!(
+                    "{what} must be from {least} to 600000"
+                )));
+            }
+        }
+        self.axes.iter().map(info).collect()
+    }
+}
+
+fn info(axis: &GcodeAxis) -> Result<AxisInfo, ScopeError> {
+    let name = axis.axis;
+    if name.is_rotation() {
+        return Err(bad_setting(format!(
+            "{name}: only x, y and z are supported"
+        )));
+    }
+    codec::axis(axis.letter).map_err(|e| bad_setting(format!("{name}: {e}")))?;
+    let numbers = [axis.min_um, axis.max_um, axis.steps_per_mm];
+    let finite = numbers.iter().all(|v| v.is_finite() && v.abs() < 1e9);
+    if !finite || axis.min_um >= axis.max_um {
+        return Err(bad_setting(format!(
+            "{name}: min_um must be less than max_um"
+        )));
+    }
+    if axis.steps_per_mm <= 0.0 {
+        return Err(bad_setting(format!(
+            "{name}: steps_per_mm must be positive"
+        )));
+    }
+    // No stepper comes nearer than half a step.
+    if axis.repeatability_um.is_nan() || axis.repeatability_um < 500.0 / axis.steps_per_mm {
+        return Err(bad_setting(format!(
+            "{name}: repeatability_um must be at least half a step, {} um",
+            500.0 / axis.steps_per_mm
+        )));
+    }
+    Ok(AxisInfo {
+        axis: name,
+        min: Length::from_um(axis.min_um).m(),
+        max: Length::from_um(axis.max_um).m(),
+        repeatability: Length::from_um(axis.repeatability_um).m(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const XY: &str = r#"{
+        "kinematics": "specimen_xy_on_top", "positive_z": "apart", "speed_um_per_s": 2000, "needs_homing": true,
+        "axes": [
+            {"axis": "x", "letter": "X", "min_um": 0, "max_um": 50000, "steps_per_mm": 400, "repeatability_um": 5},
+            {"axis": "y", "letter": "Y", "min_um": -1, "max_um": 50000, "steps_per_mm": 400, "repeatability_um": 5}
+        ]
+    }"#;
+
+    #[test]
+    fn settings_of_an_xy_stage_are_read() {
+        let settings: GcodeSettings = serde_json::from_str(XY).unwrap();
+        let axes = settings.checked().unwrap();
+        assert!((axes[0].max - 0.05).abs() < 1e-12);
+        assert_eq!(settings.axes[0].steps(1e-3), 400);
+        assert!((settings.axes[0].si(-400) + 1e-3).abs() < 1e-15);
+        assert!(settings.checksums && !settings.allow_queued_stop);
+    }
+
+    #[test]
+    fn settings_that_make_no_sense_are_refused() {
+        let typo = XY.replace("needs_homing", "need_homing");
+        assert!(serde_json::from_str::<GcodeSettings>(&typo).is_err());
+        for (from, to) in [
+            ("\"letter\": \"Y\"", "\"letter\": \"X\""),
+            ("\"letter\": \"Y\"", "\"letter\": \"F\""),
+            ("\"axis\": \"y\"", "\"axis\": \"rz\""),
+            ("\"min_um\": -1", "\"min_um\": 60000"),
+            ("\"steps_per_mm\": 400", "\"steps_per_mm\": 0"),
+            ("\"repeatability_um\": 5", "\"repeatability_um\": 1"),
+            ("\"speed_um_per_s\": 2000", "\"speed_um_per_s\": -1"),
+            (
+                "\"needs_homing\": true",
+                "\"needs_homing\": true, \"stop_timeout_ms\": 0",
+            ),
+        ] {
+            let settings: GcodeSettings = serde_json::from_str(&XY.replacen(from, to, 1)).unwrap();
+            assert!(
+                matches!(settings.checked(), Err(ScopeError::BadSetting { .. })),
+                "{to}"
+            );
+        }
+    }
+}

@@ -1,0 +1,583 @@
+//! The driver: the codec over a session, with what the stage is doing.
+
+use crate::gcs2::codec::{self, AxisName, CodecError, Command};
+use crate::gcs2::settings::{AxisPlan, Gcs2Settings};
+use crate::link::Transport;
+use crate::session::{Exchange, Session, StopBytes, bad_setting, device, lock};
+use scopeservo_scope::{Axis, AxisInfo, Length, Motion, ScopeError, Stage, StageInfo, StagePose};
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+/// How often the axes are asked whether they stand still after a stop.
+const STOP_POLL: Duration = Duration::from_millis(2);
+
+/// A controller that was told to stop reports this.
+const STOPPED_BY_COMMAND: i32 = 10;
+
+/// What the driver has asked of the stage.
+#[derive(Debug, Clone, PartialEq)]
+enum Doing {
+    Nothing,
+    /// On the way to a goal, and since when the axes stand still without being on target.
+    Moving {
+        goal: StagePose,
+        still_since: Option<Instant>,
+    },
+    /// On a reference move.
+    Homing,
+    /// Stopped on the way.
+    Stopped,
+}
+
+/// A stage on a GCS 2 controller.
+pub struct Gcs2Stage {
+    session: Session,
+    info: StageInfo,
+    plans: Vec<AxisPlan>,
+    names: Vec<AxisName>,
+    coupled: bool,
+    stop_timeout: Duration,
+    settle_timeout: Duration,
+    doing: Mutex<Doing>,
+    /// Whether the controller has said that it knows where its axes are.
+    homed: Mutex<bool>,
+}
+
+impl Gcs2Stage {
+    /// Takes a controller over: reads who it is, that it has the axes of the settings, and their travel. Nothing moves.
+    ///
+    /// # Errors
+    /// [`ScopeError::BadSetting`] for settings that make no sense or name an axis that the controller lacks;
+    /// [`ScopeError::Timeout`] or [`ScopeError::Device`] when it does not answer, or not as a GCS 2 controller.
+    pub fn connect(
+        transport: Box<dyn Transport>,
+        settings: &Gcs2Settings,
+    ) -> Result<Self, ScopeError> {
+        let plans = settings.plans()?;
+        let names: Vec<AxisName> = plans.iter().map(|p| p.name.clone()).collect();
+        let session = Session::new(
+            transport,
+            StopBytes {
+                bytes: &[codec::STOP_ALL],
+                answered: false,
+            },
+            codec::MAX_LINE_BYTES,
+            settings.reply_timeout(),
+        );
+        let mut ex = session.exchange()?;
+        let who = ask(&mut ex, &Command::Identify)?;
+        let name = read(&ex, codec::one_line("*IDN?", &who))?
+            .trim()
+            .to_string();
+        let lines = ask(&mut ex, &Command::Axes)?;
+        let there = read(&ex, codec::decode_axes(&lines))?;
+        if let Some(missing) = names.iter().find(|n| !there.contains(n)) {
+            let there: Vec<_> = there.iter().map(AxisName::as_str).collect();
+            return Err(bad_setting(format!(
+                "the controller has no axis {missing}; it has {}",
+                there.join(", ")
+            )));
+        }
+        // What was wrong before is not about us.
+        error_number(&mut ex)?;
+        let low = values(&mut ex, &Command::LowerEnds(&names), &names)?;
+        let high = values(&mut ex, &Command::UpperEnds(&names), &names)?;
+        let mut axes = Vec::new();
+        for ((plan, low), high) in plans.iter().zip(low).zip(high) {
+            if low > high {
+                return Err(device(format!(
+                    "axis {} has a travel from {low} to {high}",
+                    plan.name
+                )));
+            }
+            axes.push(AxisInfo {
+                axis: plan.axis,
+                min: plan.si(low),
+                max: plan.si(high),
+                repeatability: plan.repeatability_si,
+            });
+        }
+        drop(ex);
+        Ok(Self {
+            session,
+            info: StageInfo {
+                name,
+                axes,
+                kinematics: settings.kinematics,
+                positive_z: settings.positive_z,
+            },
+            plans,
+            names,
+            coupled: settings.coupled,
+            stop_timeout: settings.stop_timeout(),
+            settle_timeout: settings.settle_timeout(),
+            doing: Mutex::new(Doing::Nothing),
+            homed: Mutex::new(false),
+        })
+    }
+
+    /// Starts the reference move and returns. THE STAGE MOVES, over its whole travel perhaps: nothing may be in its way.
+    /// [`Stage::poll`] tells when it is over.
+    ///
+    /// # Errors
+    /// [`ScopeError::Busy`] while it moves, [`ScopeError::Interrupted`] when it was stopped at once, and as
+    /// [`Gcs2Stage::connect`].
+    pub fn home(&self) -> Result<(), ScopeError> {
+        let stops = self.session.stops();
+        let mut ex = self.session.exchange()?;
+        if self.poll_in(&mut ex)? == Motion::Moving {
+            return Err(ScopeError::Busy { device: "stage" });
+        }
+        let bytes = read(&ex, Command::Reference(&self.names).encode())?;
+        ex.send_unless_stopped(&bytes, stops)?;
+        *lock(&self.homed) = false;
+        *lock(&self.doing) = Doing::Homing;
+        // A controller on a reference move may take no lines; how it began is asked when it does.
+        if ready(&mut ex)? {
+            let number = error_number(&mut ex)?;
+            if number != 0 {
+                *lock(&self.doing) = Doing::Stopped;
+                return Err(refusal(number));
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether every axis knows where it is. `false` while a reference move runs.
+    ///
+    /// # Errors
+    /// [`ScopeError::Timeout`] or [`ScopeError::Device`] when the controller does not answer as it should.
+    pub fn is_homed(&self) -> Result<bool, ScopeError> {
+        let mut ex = self.session.exchange()?;
+        if self.is_homing() && self.poll_in(&mut ex)? == Motion::Moving {
+            return Ok(false);
+        }
+        self.referenced(&mut ex)
+    }
+
+    /// The point that the platform turns about.
+    ///
+    /// # Errors
+    /// As [`Gcs2Stage::is_homed`], and while a reference move runs [`ScopeError::Busy`].
+    pub fn pivot(&self) -> Result<[Length; 3], ScopeError> {
+        let mut ex = self.exchange_unless_homing()?;
+        let names = ["X", "Y", "Z"].map(AxisName::new);
+        let names: Result<Vec<_>, _> = names.into_iter().collect();
+        let names = read(&ex, names)?;
+        let mm = values(&mut ex, &Command::Pivot, &names)?;
+        Ok([0, 1, 2].map(|i| Length::from_um(mm[i] * 1e3)))
+    }
+
+    /// Sets the point that the platform turns about. The controller allows it only while all rotations are zero.
+    ///
+    /// # Errors
+    /// [`ScopeError::Device`] with the controller's reason, and as [`Gcs2Stage::pivot`].
+    pub fn set_pivot(&self, point: [Length; 3]) -> Result<(), ScopeError> {
+        self.set(&Command::SetPivot(point.map(|p| p.um() * 1e-3)))
+    }
+
+    /// The velocity of a hexapod's platform.
+    ///
+    /// # Errors
+    /// As [`Gcs2Stage::pivot`].
+    pub fn platform_velocity_um_per_s(&self) -> Result<f64, ScopeError> {
+        let mut ex = self.exchange_unless_homing()?;
+        let lines = ask(&mut ex, &Command::PlatformVelocity)?;
+        Ok(1e3 * read(&ex, codec::decode_number("VLS?", &lines))?)
+    }
+
+    /// Sets the velocity of a hexapod's platform.
+    ///
+    /// # Errors
+    /// [`ScopeError::BadSetting`] unless it is positive, [`ScopeError::Device`] with the controller's reason, and as
+    /// [`Gcs2Stage::pivot`].
+    pub fn set_platform_velocity_um_per_s(&self, velocity: f64) -> Result<(), ScopeError> {
+        positive(velocity)?;
+        self.set(&Command::SetPlatformVelocity(velocity * 1e-3))
+    }
+
+    /// The velocity of one axis of its own, m/s or rad/s.
+    ///
+    /// # Errors
+    /// [`ScopeError::NoSuchAxis`], and as [`Gcs2Stage::pivot`].
+    pub fn velocity_si(&self, axis: Axis) -> Result<f64, ScopeError> {
+        let plan = self.plan(axis)?;
+        let mut ex = self.exchange_unless_homing()?;
+        let names = [plan.name.clone()];
+        let answer = values(&mut ex, &Command::Velocities(&names), &names)?;
+        Ok(plan.si(answer[0]))
+    }
+
+    /// Sets the velocity of one axis of its own, m/s or rad/s.
+    ///
+    /// # Errors
+    /// [`ScopeError::NoSuchAxis`]; [`ScopeError::BadSetting`] unless the velocity is positive; [`ScopeError::Device`]
+    /// with the controller's reason; and as [`Gcs2Stage::pivot`].
+    pub fn set_velocity_si(&self, axis: Axis, velocity: f64) -> Result<(), ScopeError> {
+        let plan = self.plan(axis)?;
+        positive(velocity)?;
+        self.set(&Command::SetVelocities(&[(
+            plan.name.clone(),
+            plan.wire(velocity),
+        )]))
+    }
+
+    /// Ends the motion smoothly, where [`Stage::stop`] ends it abruptly. Returns when the command was taken.
+    ///
+    /// # Errors
+    /// As [`Gcs2Stage::pivot`]; a reference move can only be stopped.
+    pub fn halt(&self) -> Result<(), ScopeError> {
+        let mut ex = self.exchange_unless_homing()?;
+        let bytes = read(&ex, Command::Halt(&self.names).encode())?;
+        ex.send(&bytes)?;
+        match error_number(&mut ex)? {
+            0 | STOPPED_BY_COMMAND => {
+                self.mark_stopped();
+                Ok(())
+            }
+            number => Err(refusal(number)),
+        }
+    }
+
+    fn plan(&self, axis: Axis) -> Result<&AxisPlan, ScopeError> {
+        self.plans
+            .iter()
+            .find(|p| p.axis == axis)
+            .ok_or(ScopeError::NoSuchAxis { axis })
+    }
+
+    fn is_homing(&self) -> bool {
+        *lock(&self.doing) == Doing::Homing
+    }
+
+    fn exchange_unless_homing(&self) -> Result<Exchange<'_>, ScopeError> {
+        let mut ex = self.session.exchange()?;
+        if self.is_homing() && self.poll_in(&mut ex)? == Motion::Moving {
+            return Err(ScopeError::Busy { device: "stage" });
+        }
+        Ok(ex)
+    }
+
+    /// A command without an answer, and how it went.
+    fn set(&self, command: &Command<'_>) -> Result<(), ScopeError> {
+        let bytes = command.encode().map_err(|e| bad_setting(e.to_string()))?;
+        let mut ex = self.exchange_unless_homing()?;
+        ex.send(&bytes)?;
+        match error_number(&mut ex)? {
+            0 => Ok(()),
+            number => Err(refusal(number)),
+        }
+    }
+
+    fn referenced(&self, ex: &mut Exchange<'_>) -> Result<bool, ScopeError> {
+        let homed = all_set(ex, &Command::Referenced(&self.names), &self.names)?;
+        *lock(&self.homed) = homed;
+        Ok(homed)
+    }
+
+    fn mark_stopped(&self) {
+        let mut doing = lock(&self.doing);
+        if *doing != Doing::Nothing {
+            *doing = Doing::Stopped;
+        }
+    }
+
+    fn poses_in(&self, ex: &mut Exchange<'_>) -> Result<StagePose, ScopeError> {
+        let at = values(ex, &Command::Positions(&self.names), &self.names)?;
+        let set =
+            |pose: StagePose, (plan, v): (&AxisPlan, f64)| pose.with_si(plan.axis, plan.si(v));
+        Ok(self.plans.iter().zip(at).fold(StagePose::default(), set))
+    }
+
+    fn poll_in(&self, ex: &mut Exchange<'_>) -> Result<Motion, ScopeError> {
+        let doing = lock(&self.doing).clone();
+        if doing == Doing::Homing {
+            if !ready(ex)? {
+                return Ok(Motion::Moving);
+            }
+            let number = error_number(ex)?;
+            if number != 0 {
+                *lock(&self.doing) = Doing::Stopped;
+                return match number {
+                    STOPPED_BY_COMMAND => Ok(Motion::Stopped),
+                    other => Err(refusal(other)),
+                };
+            }
+        }
+        if moving(ex)? {
+            if let Doing::Moving { still_since, .. } = &mut *lock(&self.doing) {
+                *still_since = None;
+            }
+            return Ok(Motion::Moving);
+        }
+        let (ended, outcome) = match doing {
+            Doing::Nothing => return Ok(Motion::Settled),
+            Doing::Stopped => return Ok(Motion::Stopped),
+            Doing::Homing => (true, self.referenced(ex)?),
+            Doing::Moving { goal, still_since } => {
+                let on_target = all_set(ex, &Command::OnTarget(&self.names), &self.names)?;
+                let since = still_since.unwrap_or_else(Instant::now);
+                *lock(&self.doing) = Doing::Moving {
+                    goal,
+                    still_since: Some(since),
+                };
+                let late = since.elapsed() > self.settle_timeout;
+                // Others can stop the controller too, and it then counts as on target where it stands.
+                (
+                    on_target || late,
+                    on_target && self.at(&goal, &self.poses_in(ex)?),
+                )
+            }
+        };
+        if !ended {
+            return Ok(Motion::Moving);
+        }
+        let (next, motion) = if outcome {
+            (Doing::Nothing, Motion::Settled)
+        } else {
+            (Doing::Stopped, Motion::Stopped)
+        };
+        *lock(&self.doing) = next;
+        Ok(motion)
+    }
+
+    /// Whether a place read is the goal, within the tolerances.
+    fn at(&self, goal: &StagePose, place: &StagePose) -> bool {
+        self.plans.iter().all(|plan| {
+            let (Some(goal), Some(place)) = (goal.si(plan.axis), place.si(plan.axis)) else {
+                return true;
+            };
+            (goal - place).abs() <= plan.tolerance_si
+        })
+    }
+
+    /// The request in the controller's names and units, inside the travel.
+    fn targets(&self, to: &StagePose) -> Result<Vec<(AxisName, f64)>, ScopeError> {
+        let mut targets = Vec::new();
+        for axis in Axis::ALL {
+            let Some(asked) = to.si(axis) else { continue };
+            let plan = self.plan(axis)?;
+            if !asked.is_finite() {
+                return Err(ScopeError::NotFinite { axis });
+            }
+            let range = self
+                .info
+                .axis(axis)
+                .ok_or(ScopeError::NoSuchAxis { axis })?;
+            if asked < range.min || asked > range.max {
+                return Err(ScopeError::OutsideLimits {
+                    axis,
+                    asked: axis.to_display(asked),
+                    min: axis.to_display(range.min),
+                    max: axis.to_display(range.max),
+                });
+            }
+            targets.push((plan.name.clone(), plan.wire(asked)));
+        }
+        Ok(targets)
+    }
+
+    /// Waits until the axes stand still, and says whether they do.
+    fn wait_still(&self, ex: &mut Exchange<'_>) -> Result<bool, ScopeError> {
+        let homing = self.is_homing();
+        let give_up = Instant::now() + self.stop_timeout;
+        loop {
+            if !moving(ex)? && (!homing || ready(ex)?) {
+                return Ok(true);
+            }
+            if Instant::now() >= give_up {
+                return Ok(false);
+            }
+            std::thread::sleep(STOP_POLL);
+        }
+    }
+}
+
+impl Stage for Gcs2Stage {
+    fn info(&self) -> &StageInfo {
+        &self.info
+    }
+
+    fn position(&self) -> Result<StagePose, ScopeError> {
+        let mut ex = self.exchange_unless_homing()?;
+        // An axis that does not know where it is reads zero.
+        let known = *lock(&self.homed);
+        if !known && !self.referenced(&mut ex)? {
+            return Err(not_homed());
+        }
+        self.poses_in(&mut ex)
+    }
+
+    fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
+        let stops = self.session.stops();
+        let targets = self.targets(to)?;
+        let mut ex = self.session.exchange()?;
+        if self.poll_in(&mut ex)? == Motion::Moving {
+            return Err(ScopeError::Busy { device: "stage" });
+        }
+        if !self.referenced(&mut ex)? {
+            return Err(not_homed());
+        }
+        if targets.is_empty() {
+            return Ok(());
+        }
+        if self.coupled {
+            let lines = ask(&mut ex, &Command::CanReach(&targets))?;
+            if !read(&ex, codec::decode_reachable(&lines))? {
+                return Err(device(
+                    "the pose cannot be reached: what one axis can do depends on the others; nothing moved. \
+                     Move nearer to the middle of the travel",
+                ));
+            }
+        }
+        let bytes = read(&ex, Command::Move(&targets).encode())?;
+        ex.send_unless_stopped(&bytes, stops)?;
+        // Moving from here on, should the next answer not come.
+        *lock(&self.doing) = Doing::Moving {
+            goal: *to,
+            still_since: None,
+        };
+        let number = error_number(&mut ex)?;
+        if number != 0 {
+            *lock(&self.doing) = if number == STOPPED_BY_COMMAND {
+                Doing::Stopped
+            } else {
+                Doing::Nothing
+            };
+            return Err(refusal(number));
+        }
+        Ok(())
+    }
+
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        let mut ex = self.session.exchange()?;
+        self.poll_in(&mut ex)
+    }
+
+    fn stop(&self) -> Result<(), ScopeError> {
+        self.session.send_stop()?;
+        let mut ex = self.session.exchange()?;
+        if !self.wait_still(&mut ex)? {
+            let line = read(&ex, Command::Stop.encode())?;
+            ex.send(&line)?;
+            if !self.wait_still(&mut ex)? {
+                return Err(device(
+                    "it goes on moving after two commands to stop; use the emergency stop",
+                ));
+            }
+        }
+        let number = error_number(&mut ex)?;
+        self.mark_stopped();
+        match number {
+            0 | STOPPED_BY_COMMAND => Ok(()),
+            other => Err(refusal(other)),
+        }
+    }
+}
+
+impl Drop for Gcs2Stage {
+    fn drop(&mut self) {
+        let moving = matches!(*lock(&self.doing), Doing::Moving { .. } | Doing::Homing);
+        self.session.abandon(moving);
+    }
+}
+
+fn not_homed() -> ScopeError {
+    device(
+        "the stage is not homed and does not know where it is; see that nothing is in its way, then home it",
+    )
+}
+
+fn positive(velocity: f64) -> Result<(), ScopeError> {
+    if velocity.is_finite() && velocity > 0.0 {
+        Ok(())
+    } else {
+        Err(bad_setting("a velocity must be positive"))
+    }
+}
+
+/// What an error number of the controller means for the caller.
+fn refusal(number: i32) -> ScopeError {
+    match number {
+        STOPPED_BY_COMMAND => ScopeError::Interrupted { at: None },
+        other => device(codec::error_in_words(other)),
+    }
+}
+
+/// A decoded answer, or the end of the link.
+fn read<T>(ex: &Exchange<'_>, decoded: Result<T, CodecError>) -> Result<T, ScopeError> {
+    decoded.map_err(|e| ex.nonsense(e))
+}
+
+/// Sends a question.
+fn put(ex: &mut Exchange<'_>, command: &Command<'_>) -> Result<(), ScopeError> {
+    let bytes = read(ex, command.encode())?;
+    ex.send(&bytes)
+}
+
+/// A question and the lines of its answer.
+fn ask(ex: &mut Exchange<'_>, command: &Command<'_>) -> Result<Vec<String>, ScopeError> {
+    put(ex, command)?;
+    let deadline = ex.deadline();
+    let mut lines = Vec::new();
+    loop {
+        let raw = ex.line(deadline)?;
+        let (line, more) = codec::line_and_more(&raw);
+        lines.push(line.to_string());
+        if !more {
+            break;
+        }
+        if lines.len() >= codec::MAX_LINES {
+            return Err(ex.nonsense(format!(
+                "more than {} lines to {}",
+                codec::MAX_LINES,
+                command.name()
+            )));
+        }
+    }
+    complete(ex, command)?;
+    Ok(lines)
+}
+
+fn complete(ex: &Exchange<'_>, command: &Command<'_>) -> Result<(), ScopeError> {
+    if ex.has_more() {
+        return Err(ex.nonsense(format!("more came than the answer to {}", command.name())));
+    }
+    Ok(())
+}
+
+fn ready(ex: &mut Exchange<'_>) -> Result<bool, ScopeError> {
+    put(ex, &Command::Ready)?;
+    let line = ex.line_bytes(ex.deadline())?;
+    complete(ex, &Command::Ready)?;
+    read(ex, codec::decode_ready(&line))
+}
+
+fn moving(ex: &mut Exchange<'_>) -> Result<bool, ScopeError> {
+    let lines = ask(ex, &Command::MotionStatus)?;
+    read(ex, codec::decode_moving(&lines))
+}
+
+fn error_number(ex: &mut Exchange<'_>) -> Result<i32, ScopeError> {
+    let lines = ask(ex, &Command::Error)?;
+    read(ex, codec::decode_error(&lines))
+}
+
+fn values(
+    ex: &mut Exchange<'_>,
+    command: &Command<'_>,
+    names: &[AxisName],
+) -> Result<Vec<f64>, ScopeError> {
+    let lines = ask(ex, command)?;
+    read(ex, codec::decode_values(command.name(), names, &lines))
+}
+
+fn all_set(
+    ex: &mut Exchange<'_>,
+    command: &Command<'_>,
+    names: &[AxisName],
+) -> Result<bool, ScopeError> {
+    let lines = ask(ex, command)?;
+    let flags = read(ex, codec::decode_flags(command.name(), names, &lines))?;
+    Ok(flags.into_iter().all(|set| set))
+}

@@ -1,0 +1,19 @@
+//! Drivers for real stages. Each is three things that share no code: a pure codec (typed commands to bytes, bytes to
+//! typed replies, no input or output), a driver that implements [`scopeservo_scope::Stage`] over any [`link::Transport`],
+//! and an [`emulator`] on a TCP port of this machine to test the driver against.
+//!
+//! What every driver keeps to:
+//!
+//! - Nothing moves on connecting. Homing happens only on an explicit call.
+//! - A request is carried out whole or refused whole, never clipped.
+//! - `stop` sends its bytes at once from any thread, also while another thread waits for a reply, and no move that was
+//!   being prepared at that moment starts afterwards.
+//! - After a time-out, an interruption or an answer that cannot be read, nobody knows which reply belongs to which
+//!   question. The driver then sends the stop command, closes the link, and every later call says so.
+
+pub mod emulator;
+pub mod gcode;
+pub mod gcs2;
+pub mod link;
+pub mod sangaboard;
+mod session;

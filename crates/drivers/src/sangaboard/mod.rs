@@ -1,0 +1,9 @@
+//! The Sangaboard, the motor board of the OpenFlexure microscope, with firmware that moves without blocking and knows
+//! "stop". Older firmware hears nothing while it moves and is refused.
+
+pub mod codec;
+mod settings;
+mod stage;
+
+pub use settings::{SangaAxis, SangaSettings};
+pub use stage::SangaStage;

@@ -1,0 +1,537 @@
+//! The G-code driver against the emulated board, over TCP.
+
+use scopeservo_drivers::emulator::Fault;
+use scopeservo_drivers::emulator::gcode::{EmulatedBoard, GcodeEmulator};
+use scopeservo_drivers::gcode::{GcodeAxis, GcodeSettings, GcodeStage};
+use scopeservo_drivers::link::Tcp;
+use scopeservo_scope::{Axis, Kinematics, Motion, PositiveZ, ScopeError, Stage, StagePose};
+use std::thread;
+use std::time::{Duration, Instant};
+
+fn settings() -> GcodeSettings {
+    let axis = |(axis, letter)| GcodeAxis {
+        axis,
+        letter,
+        min_um: -50_000.0,
+        max_um: 50_000.0,
+        steps_per_mm: 400.0,
+        repeatability_um: 2.5,
+    };
+    GcodeSettings {
+        kinematics: Kinematics::SpecimenXyOnTop,
+        positive_z: PositiveZ::Apart,
+        axes: [(Axis::X, 'X'), (Axis::Y, 'Y'), (Axis::Z, 'Z')]
+            .map(axis)
+            .into(),
+        speed_um_per_s: 10_000.0,
+        needs_homing: false,
+        allow_queued_stop: false,
+        checksums: true,
+        boot_ms: 0,
+        reply_timeout_ms: 300,
+        busy_timeout_ms: 5000,
+        homing_timeout_ms: 2000,
+        stop_timeout_ms: 300,
+        stall_timeout_ms: 200,
+    }
+}
+
+fn connect(emulator: &GcodeEmulator, settings: &GcodeSettings) -> Result<GcodeStage, ScopeError> {
+    let tcp = Tcp::connect(&emulator.address(), Duration::from_secs(2)).unwrap();
+    GcodeStage::connect(Box::new(tcp), settings)
+}
+
+fn start(
+    board: impl FnOnce(&mut EmulatedBoard),
+    change: impl FnOnce(&mut GcodeSettings),
+) -> (GcodeEmulator, Result<GcodeStage, ScopeError>) {
+    let (mut emulated, mut settings) = (EmulatedBoard::new(), settings());
+    board(&mut emulated);
+    change(&mut settings);
+    let emulator = GcodeEmulator::serve(emulated).unwrap();
+    let stage = connect(&emulator, &settings);
+    (emulator, stage)
+}
+
+fn plain() -> (GcodeEmulator, GcodeStage) {
+    let (emulator, stage) = start(|_| {}, |_| {});
+    (emulator, stage.unwrap())
+}
+
+fn pose(axis: Axis, si: f64) -> StagePose {
+    StagePose::default().with_si(axis, si)
+}
+
+fn wait(stage: &impl Stage) -> Motion {
+    let start = Instant::now();
+    loop {
+        match stage.poll().unwrap() {
+            Motion::Moving => assert!(start.elapsed() < Duration::from_secs(10), "it never ends"),
+            ended => return ended,
+        }
+        thread::sleep(Duration::from_millis(2));
+    }
+}
+
+fn detail(error: ScopeError) -> String {
+    match error {
+        ScopeError::Device { detail, .. } => detail,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn axes_move_and_read_back_in_steps() {
+    for checksums in [true, false] {
+        let (emulator, stage) = start(|_| {}, |s| s.checksums = checksums);
+        let stage = stage.unwrap();
+        assert!(stage.info().name.contains("Marlin"));
+        let to = pose(Axis::X, 1e-3)
+            .with_si(Axis::Y, -0.5e-3)
+            .with_si(Axis::Z, 0.25e-3);
+        stage.start_move(&to).unwrap();
+        assert_eq!(stage.poll().unwrap(), Motion::Moving);
+        assert_eq!(wait(&stage), Motion::Settled);
+        let at = stage.position().unwrap();
+        for axis in [Axis::X, Axis::Y, Axis::Z] {
+            let off = (at.si(axis).unwrap() - to.si(axis).unwrap()).abs();
+            assert!(off <= 2.5e-6 + 1e-12, "{axis}: {off}");
+        }
+        assert_eq!(at.si(Axis::Rz), None);
+        assert_eq!(emulator.truth(), [1.0, -0.5, 0.25]);
+    }
+}
+
+#[test]
+fn positions_are_those_of_the_steppers_also_during_motion() {
+    let (emulator, stage) = plain();
+    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
+    thread::sleep(Duration::from_millis(50));
+    let before = emulator.truth()[0];
+    let at = 1e3 * stage.position().unwrap().si(Axis::X).unwrap();
+    let after = emulator.truth()[0];
+    let step = 1.0 / 400.0;
+    assert!(
+        before - step <= at && at <= after + step,
+        "{before} {at} {after}"
+    );
+    stage.stop().unwrap();
+}
+
+#[test]
+fn connecting_moves_nothing() {
+    let (emulator, stage) = plain();
+    let heard = emulator.heard();
+    assert_eq!(heard, ["M110 N0", "M115", "M410", "G21", "G90", "M114"]);
+    drop(stage);
+}
+
+#[test]
+fn limits_and_missing_axes_are_refused_and_nothing_is_sent() {
+    let (emulator, stage) = plain();
+    let before = emulator.heard().len();
+    for axis in [Axis::X, Axis::Y, Axis::Z] {
+        for outside in [-0.0501, 0.0501] {
+            assert!(matches!(
+                stage.start_move(&pose(axis, outside)),
+                Err(ScopeError::OutsideLimits { .. })
+            ));
+        }
+        assert_eq!(
+            stage.start_move(&pose(axis, f64::INFINITY)),
+            Err(ScopeError::NotFinite { axis })
+        );
+    }
+    assert_eq!(
+        stage.start_move(&pose(Axis::Rz, 0.0)),
+        Err(ScopeError::NoSuchAxis { axis: Axis::Rz })
+    );
+    assert_eq!(emulator.heard().len(), before);
+}
+
+#[test]
+fn a_move_that_the_board_would_clip_is_stopped_and_told() {
+    let (emulator, stage) = start(|b| b.limits_mm[0] = (-5.0, 5.0), |_| {});
+    let stage = stage.unwrap();
+    let why = detail(stage.start_move(&pose(Axis::X, 20e-3)).unwrap_err());
+    assert!(why.contains("shortened"), "{why}");
+    assert!(emulator.truth()[0] < 4.0);
+    assert_eq!(stage.poll().unwrap(), Motion::Stopped);
+}
+
+#[test]
+fn a_second_move_is_refused_while_one_runs() {
+    let (_emulator, stage) = plain();
+    stage.start_move(&pose(Axis::X, 10e-3)).unwrap();
+    assert_eq!(
+        stage.start_move(&pose(Axis::X, 0.0)),
+        Err(ScopeError::Busy { device: "stage" })
+    );
+    stage.stop().unwrap();
+    assert_eq!(stage.poll().unwrap(), Motion::Stopped);
+    stage.start_move(&pose(Axis::X, 0.0)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+}
+
+#[test]
+fn stops_on_the_way_are_quick_while_another_thread_polls() {
+    let (emulator, stage) = plain();
+    let mut took = Vec::new();
+    let mut there = 20e-3;
+    for _ in 0..50 {
+        stage.start_move(&pose(Axis::X, there)).unwrap();
+        there = -there;
+        let ended = thread::scope(|s| {
+            let polls = s.spawn(|| wait(&stage));
+            thread::sleep(Duration::from_millis(5));
+            let start = Instant::now();
+            stage.stop().unwrap();
+            took.push(start.elapsed());
+            polls.join().unwrap()
+        });
+        assert_eq!(ended, Motion::Stopped);
+        let at = emulator.truth();
+        thread::sleep(Duration::from_millis(1));
+        assert_eq!(emulator.truth(), at, "it creeps");
+    }
+    took.sort();
+    let mut err = std::io::stderr();
+    std::io::Write::write_fmt(
+        &mut err,
+        format_args!(
+            "stop: median {:?}, slowest of 50 {:?}\n",
+            took[24], took[49]
+        ),
+    )
+    .unwrap();
+    assert!(took[49] < Duration::from_millis(250), "{:?}", took[49]);
+    // The answers to all stops are accounted for.
+    stage.start_move(&pose(Axis::X, 0.0)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+}
+
+#[test]
+fn stops_from_many_threads_do_not_mix_up_the_answers() {
+    let (_emulator, stage) = plain();
+    stage.start_move(&pose(Axis::X, 40e-3)).unwrap();
+    thread::scope(|s| {
+        for i in 0..8 {
+            let stage = &stage;
+            s.spawn(move || {
+                for _ in 0..15 {
+                    let at = stage.position().unwrap().si(Axis::X).unwrap();
+                    assert!((0.0..40e-3).contains(&at));
+                    if i % 2 == 0 {
+                        stage.stop().unwrap();
+                    }
+                }
+            });
+        }
+    });
+    assert_eq!(stage.poll().unwrap(), Motion::Stopped);
+}
+
+#[test]
+fn a_stage_that_needs_homing_says_so_and_homes_only_when_told() {
+    let (emulator, stage) = start(|b| b.homes_first = true, |s| s.needs_homing = true);
+    let stage = stage.unwrap();
+    assert!(!stage.is_homed().unwrap());
+    for why in [
+        detail(stage.start_move(&pose(Axis::X, 1e-3)).unwrap_err()),
+        detail(stage.position().unwrap_err()),
+    ] {
+        assert!(why.contains("not homed"), "{why}");
+    }
+    assert!(!emulator.heard().iter().any(|l| l.starts_with("G28")));
+    stage.home().unwrap();
+    assert_eq!(stage.poll().unwrap(), Motion::Moving);
+    assert!(!stage.is_homed().unwrap());
+    for busy in [
+        stage.start_move(&pose(Axis::X, 1e-3)),
+        stage.position().map(|_| ()),
+        stage.home(),
+    ] {
+        assert_eq!(busy, Err(ScopeError::Busy { device: "stage" }));
+    }
+    assert_eq!(wait(&stage), Motion::Settled);
+    assert!(stage.is_homed().unwrap());
+    assert_eq!(emulator.heard().last().unwrap(), "G28 X Y Z");
+    stage.start_move(&pose(Axis::X, 1e-3)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+}
+
+#[test]
+fn homing_can_be_stopped() {
+    let (_emulator, stage) = start(|b| b.homing_ms = 5000, |_| {});
+    let stage = stage.unwrap();
+    stage.home().unwrap();
+    assert_eq!(stage.poll().unwrap(), Motion::Moving);
+    let start = Instant::now();
+    stage.stop().unwrap();
+    assert!(start.elapsed() < Duration::from_millis(250));
+    assert_eq!(stage.poll().unwrap(), Motion::Stopped);
+    assert!(!stage.is_homed().unwrap());
+    stage.start_move(&pose(Axis::X, 1e-3)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+}
+
+#[test]
+fn homing_that_never_ends_is_given_up() {
+    let (_emulator, stage) = start(|b| b.homing_ms = 60_000, |s| s.homing_timeout_ms = 200);
+    let stage = stage.unwrap();
+    stage.home().unwrap();
+    let start = Instant::now();
+    let error = loop {
+        match stage.poll() {
+            Ok(motion) => assert_eq!(motion, Motion::Moving),
+            Err(error) => break error,
+        }
+        assert!(start.elapsed() < Duration::from_secs(2));
+    };
+    assert!(matches!(error, ScopeError::Timeout { .. }), "{error:?}");
+}
+
+#[test]
+fn a_board_that_refuses_a_move_is_heard() {
+    let (emulator, stage) = start(|b| b.homes_first = true, |_| {});
+    let stage = stage.unwrap();
+    let why = detail(stage.start_move(&pose(Axis::X, 1e-3)).unwrap_err());
+    assert!(why.contains("Home XYZ First"), "{why}");
+    assert_eq!(stage.poll().unwrap(), Motion::Settled);
+    assert_eq!(emulator.truth(), [0.0; 3]);
+}
+
+#[test]
+fn damaged_lines_are_sent_again_and_obeyed_once() {
+    let (emulator, stage) = plain();
+    emulator.damage_lines(2);
+    stage.start_move(&pose(Axis::X, 1e-3)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+    let moves = emulator.heard();
+    let moves = moves.iter().filter(|l| l.starts_with("G1"));
+    assert_eq!(moves.count(), 1);
+    assert_eq!(emulator.truth()[0], 1.0);
+    // A line that is damaged every time is given up.
+    emulator.damage_lines(u32::MAX);
+    let why = detail(stage.start_move(&pose(Axis::X, 0.0)).unwrap_err());
+    assert!(why.contains("damaged"), "{why}");
+    assert_eq!(emulator.truth()[0], 1.0);
+}
+
+#[test]
+fn a_command_to_home_that_arrives_damaged_is_told_and_can_be_repeated() {
+    let (_emulator, stage) = plain();
+    _emulator.damage_lines(1);
+    stage.home().unwrap();
+    let start = Instant::now();
+    let why = loop {
+        match stage.poll() {
+            Ok(_) => assert!(start.elapsed() < Duration::from_secs(2)),
+            Err(error) => break detail(error),
+        }
+    };
+    assert!(why.contains("damaged"), "{why}");
+    stage.home().unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+    assert!(stage.is_homed().unwrap());
+}
+
+#[test]
+fn what_a_board_says_of_its_own_accord_is_passed_over() {
+    let (emulator, stage) = plain();
+    emulator.say(" T:21.00 /0.00 @:0");
+    emulator.say("echo:SD init fail");
+    stage.start_move(&pose(Axis::X, 1e-3)).unwrap();
+    emulator.say("//action:notification");
+    assert_eq!(wait(&stage), Motion::Settled);
+}
+
+#[test]
+fn a_board_that_starts_anew_has_lost_its_place() {
+    let (emulator, stage) = plain();
+    emulator.say("start");
+    thread::sleep(Duration::from_millis(20));
+    let why = detail(stage.position().unwrap_err());
+    assert!(why.contains("started anew"), "{why}");
+    assert!(detail(stage.poll().unwrap_err()).contains("closed because"));
+}
+
+#[test]
+fn a_fault_of_the_board_is_told_in_its_words() {
+    let (emulator, stage) = plain();
+    emulator.say("Error:Printer halted. kill() called!");
+    thread::sleep(Duration::from_millis(20));
+    let why = detail(stage.position().unwrap_err());
+    assert!(why.contains("Printer halted"), "{why}");
+}
+
+#[test]
+fn an_obstacle_ends_the_move() {
+    let (emulator, stage) = plain();
+    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
+    emulator.block();
+    assert_eq!(wait(&stage), Motion::Stopped);
+}
+
+#[test]
+fn a_stop_that_is_ignored_is_told() {
+    let (emulator, stage) = plain();
+    stage.start_move(&pose(Axis::X, 40e-3)).unwrap();
+    emulator.ignore_stops();
+    let why = detail(stage.stop().unwrap_err());
+    assert!(why.contains("emergency"), "{why}");
+}
+
+#[test]
+fn a_board_that_cannot_stop_at_any_time_is_not_driven_unless_allowed() {
+    let (_emulator, stage) = start(|b| b.emergency_parser = false, |_| {});
+    let why = detail(stage.err().unwrap());
+    assert!(why.contains("EMERGENCY_PARSER"), "{why}");
+
+    let (_emulator, stage) = start(
+        |b| b.emergency_parser = false,
+        |s| s.allow_queued_stop = true,
+    );
+    let stage = stage.unwrap();
+    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
+    stage.stop().unwrap();
+    assert_eq!(stage.poll().unwrap(), Motion::Stopped);
+
+    let (_emulator, stage) = start(|b| b.knows_stop = false, |_| {});
+    let why = detail(stage.err().unwrap());
+    assert!(why.contains("M410"), "{why}");
+}
+
+#[test]
+fn firmware_that_answers_only_after_the_move_is_waited_for() {
+    let (_emulator, stage) = start(|b| b.position_waits = true, |_| {});
+    let stage = stage.unwrap();
+    // Longer than the time-out of one answer: the signs of being busy count.
+    stage.start_move(&pose(Axis::X, 6e-3)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+}
+
+#[test]
+fn settings_that_do_not_fit_the_board_are_told() {
+    let (emulator, stage) = start(|b| b.steps_per_mm = [80.0; 3], |_| {});
+    // At zero they agree, whatever they are.
+    let stage = stage.unwrap();
+    stage.start_move(&pose(Axis::X, 2e-3)).unwrap();
+    assert_eq!(wait(&stage), Motion::Stopped);
+    drop(stage);
+    let error = connect(&emulator, &settings()).err().unwrap();
+    assert!(
+        matches!(&error, ScopeError::BadSetting { what } if what.contains("steps_per_mm")),
+        "{error:?}"
+    );
+}
+
+#[test]
+fn a_board_that_starts_when_the_port_is_opened_is_waited_for() {
+    let emulator = GcodeEmulator::serve(EmulatedBoard::new()).unwrap();
+    let mut settings = settings();
+    settings.boot_ms = 3000;
+    thread::scope(|s| {
+        s.spawn(|| {
+            thread::sleep(Duration::from_millis(200));
+            for line in ["start", "echo:Marlin 2.1", "echo: Free Memory: 3596"] {
+                emulator.say(line);
+                thread::sleep(Duration::from_millis(20));
+            }
+        });
+        let start = Instant::now();
+        let stage = connect(&emulator, &settings).unwrap();
+        assert!(start.elapsed() > Duration::from_millis(200));
+        assert!(start.elapsed() < Duration::from_secs(2));
+        assert_eq!(stage.poll().unwrap(), Motion::Settled);
+    });
+}
+
+/// As in the tests of GCS 2.
+fn fails(fault: Fault, first: fn(&ScopeError) -> bool, why: &str, hears: bool) {
+    let (emulator, stage) = plain();
+    stage.start_move(&pose(Axis::X, 40e-3)).unwrap();
+    emulator.set_fault(fault);
+    let start = Instant::now();
+    let error = stage.position().unwrap_err();
+    let took = start.elapsed();
+    assert!(
+        took < Duration::from_millis(300 + 500),
+        "{fault:?} {took:?}"
+    );
+    assert!(first(&error), "{fault:?} {error:?}");
+    for later in [
+        stage.position().map(|_| ()),
+        stage.poll().map(|_| ()),
+        stage.start_move(&pose(Axis::X, 0.0)),
+        stage.stop(),
+        stage.home(),
+    ] {
+        let text = detail(later.unwrap_err());
+        assert!(text.contains("closed because"), "{fault:?} {text}");
+        assert!(text.contains(why), "{fault:?} {text}");
+    }
+    if hears {
+        thread::sleep(Duration::from_millis(50));
+        let at = emulator.truth()[0];
+        thread::sleep(Duration::from_millis(20));
+        assert_eq!(emulator.truth()[0], at, "{fault:?} left it moving");
+        assert!(at < 39.0);
+    }
+}
+
+fn is_device(error: &ScopeError) -> bool {
+    matches!(error, ScopeError::Device { .. })
+}
+
+#[test]
+fn silence_is_a_time_out() {
+    fails(
+        Fault::Silence,
+        |e| matches!(e, ScopeError::Timeout { .. }),
+        "no answer",
+        true,
+    );
+}
+
+#[test]
+fn half_an_answer_is_told() {
+    fails(Fault::Half, is_device, "middle of a line", true);
+}
+
+#[test]
+fn an_answer_byte_by_byte_beyond_the_time_out_is_told() {
+    fails(Fault::SlowBytes(20), is_device, "middle of a line", true);
+}
+
+#[test]
+fn garbage_is_told() {
+    fails(Fault::Garbage, is_device, "not text", true);
+}
+
+#[test]
+fn an_endless_line_is_told() {
+    fails(Fault::EndlessLine, is_device, "more than 1024 bytes", false);
+}
+
+#[test]
+fn endless_lines_are_a_time_out() {
+    fails(Fault::EndlessLines, |_| true, "", false);
+}
+
+#[test]
+fn a_disconnection_on_the_way_is_told() {
+    fails(Fault::Disconnect, is_device, "closed the connection", false);
+}
+
+#[test]
+fn a_driver_that_ends_on_the_way_stops_the_stage() {
+    let (emulator, stage) = plain();
+    stage.start_move(&pose(Axis::X, 40e-3)).unwrap();
+    drop(stage);
+    thread::sleep(Duration::from_millis(50));
+    let at = emulator.truth();
+    thread::sleep(Duration::from_millis(20));
+    assert_eq!(emulator.truth(), at);
+    assert!(at[0] < 39.0);
+}

@@ -1,0 +1,638 @@
+//! The GCS 2 driver against the emulated controller, over TCP.
+
+use scopeservo_drivers::emulator::Fault;
+use scopeservo_drivers::emulator::gcs2::{EmulatedAxis, EmulatedStage, Gcs2Emulator, Obeys};
+use scopeservo_drivers::gcs2::{Gcs2Settings, Gcs2Stage, LinearAxis};
+use scopeservo_drivers::link::{LinkError, Tcp, Transport};
+use scopeservo_scope::{Axis, Kinematics, Length, Motion, PositiveZ, ScopeError, Stage, StagePose};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
+use std::thread;
+use std::time::{Duration, Instant};
+
+fn settings() -> Gcs2Settings {
+    let mut settings =
+        Gcs2Settings::hexapod(Kinematics::MovesMicroscope, PositiveZ::Closer, 0.1, 0.0001);
+    settings.reply_timeout_ms = 300;
+    settings.stop_timeout_ms = 200;
+    settings
+}
+
+fn connect(emulator: &Gcs2Emulator, settings: &Gcs2Settings) -> Result<Gcs2Stage, ScopeError> {
+    let tcp = Tcp::connect(&emulator.address(), Duration::from_secs(2)).unwrap();
+    Gcs2Stage::connect(Box::new(tcp), settings)
+}
+
+fn hexapod_with(change: impl FnOnce(&mut EmulatedStage)) -> (Gcs2Emulator, Gcs2Stage) {
+    let mut stage = EmulatedStage::hexapod();
+    change(&mut stage);
+    let emulator = Gcs2Emulator::serve(stage).unwrap();
+    let stage = connect(&emulator, &settings()).unwrap();
+    (emulator, stage)
+}
+
+fn hexapod() -> (Gcs2Emulator, Gcs2Stage) {
+    hexapod_with(|_| {})
+}
+
+fn pose(axis: Axis, si: f64) -> StagePose {
+    StagePose::default().with_si(axis, si)
+}
+
+fn wait(stage: &impl Stage) -> Motion {
+    let start = Instant::now();
+    loop {
+        match stage.poll().unwrap() {
+            Motion::Moving => assert!(start.elapsed() < Duration::from_secs(10), "it never ends"),
+            ended => return ended,
+        }
+        thread::sleep(Duration::from_millis(2));
+    }
+}
+
+fn detail(error: ScopeError) -> String {
+    match error {
+        ScopeError::Device { detail, .. } => detail,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn every_axis_of_a_hexapod_moves_and_reads_back() {
+    let (emulator, stage) = hexapod();
+    assert!(stage.info().name.contains("C-887"));
+    assert_eq!(stage.info().axes.len(), 6);
+    for (i, axis) in Axis::ALL.into_iter().enumerate() {
+        let to = if axis.is_rotation() { 0.01 } else { 300e-6 };
+        stage.start_move(&pose(axis, to)).unwrap();
+        assert_eq!(wait(&stage), Motion::Settled);
+        let at = stage.position().unwrap();
+        assert!((at.si(axis).unwrap() - to).abs() < 2e-8, "{axis} {at:?}");
+        // The truth counts in mm and deg.
+        let truth = emulator.truth()[i];
+        let want = if axis.is_rotation() {
+            to.to_degrees()
+        } else {
+            to * 1e3
+        };
+        assert!((truth - want).abs() < 2e-6, "{axis}: {truth} for {want}");
+    }
+}
+
+#[test]
+fn all_axes_move_together() {
+    let (_emulator, stage) = hexapod();
+    let to = Axis::ALL.into_iter().fold(StagePose::default(), |p, a| {
+        p.with_si(a, if a.is_rotation() { 0.005 } else { -200e-6 })
+    });
+    stage.start_move(&to).unwrap();
+    assert_eq!(stage.poll().unwrap(), Motion::Moving);
+    assert_eq!(wait(&stage), Motion::Settled);
+    let at = stage.position().unwrap();
+    for axis in Axis::ALL {
+        assert!((at.si(axis).unwrap() - to.si(axis).unwrap()).abs() < 2e-8);
+    }
+}
+
+#[test]
+fn axes_of_their_own_are_driven_by_their_names() {
+    let axis = |name: &str| EmulatedAxis {
+        name: name.into(),
+        low: 0.0,
+        high: 50.0,
+    };
+    let emulator = Gcs2Emulator::serve(EmulatedStage {
+        axes: vec![axis("1"), axis("2")],
+        coupled: false,
+        velocity: 10.0,
+        referenced: true,
+        reference_ms: 50,
+    })
+    .unwrap();
+    let linear = |axis, name: &str| LinearAxis {
+        axis,
+        name: name.into(),
+        repeatability_um: 0.2,
+        arrival_tolerance_um: 1.0,
+    };
+    let mut settings = settings();
+    settings.rotary.clear();
+    settings.coupled = false;
+    // Their order in the settings is ours, not the controller's.
+    settings.linear = vec![linear(Axis::X, "2"), linear(Axis::Y, "1")];
+    let stage = connect(&emulator, &settings).unwrap();
+    stage
+        .start_move(&pose(Axis::X, 0.5e-3).with_si(Axis::Y, 0.25e-3))
+        .unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+    let truth = emulator.truth();
+    assert!((truth[0] - 0.25).abs() < 1e-9 && (truth[1] - 0.5).abs() < 1e-9);
+    assert_eq!(
+        stage.start_move(&pose(Axis::Z, 0.0)),
+        Err(ScopeError::NoSuchAxis { axis: Axis::Z })
+    );
+    stage.set_velocity_si(Axis::X, 5e-3).unwrap();
+    assert!((stage.velocity_si(Axis::X).unwrap() - 5e-3).abs() < 1e-12);
+    assert!((stage.velocity_si(Axis::Y).unwrap() - 10e-3).abs() < 1e-12);
+    let why = detail(stage.set_velocity_si(Axis::X, 1.0).unwrap_err());
+    assert!(why.contains("velocity is out of limits"), "{why}");
+}
+
+#[test]
+fn connecting_moves_nothing_and_sets_nothing() {
+    let (emulator, stage) = hexapod_with(|s| s.referenced = false);
+    let heard = emulator.heard();
+    assert!(heard.len() >= 5, "{heard:?}");
+    for line in &heard {
+        assert!(line.contains('?'), "{heard:?}");
+    }
+    drop(stage);
+    thread::sleep(Duration::from_millis(20));
+    assert_eq!(emulator.heard(), heard);
+}
+
+#[test]
+fn an_axis_that_the_controller_lacks_is_told() {
+    let emulator = Gcs2Emulator::serve(EmulatedStage::hexapod()).unwrap();
+    let mut settings = settings();
+    settings.linear[0].name = "A".into();
+    let error = connect(&emulator, &settings).err().unwrap();
+    assert!(
+        matches!(&error, ScopeError::BadSetting { what } if what.contains("no axis A")),
+        "{error:?}"
+    );
+}
+
+#[test]
+fn limits_are_refused_and_nothing_is_sent() {
+    let (emulator, stage) = hexapod();
+    let before = emulator.heard().len();
+    for axis in Axis::ALL {
+        let range = *stage.info().axis(axis).unwrap();
+        for outside in [1.001 * range.min, 1.001 * range.max] {
+            let answer = stage.start_move(&pose(axis, outside));
+            assert!(
+                matches!(answer, Err(ScopeError::OutsideLimits { .. })),
+                "{answer:?}"
+            );
+        }
+        assert_eq!(
+            stage.start_move(&pose(axis, f64::NAN)),
+            Err(ScopeError::NotFinite { axis })
+        );
+    }
+    assert_eq!(emulator.heard().len(), before);
+    // The end itself is allowed.
+    let end = stage.info().axis(Axis::X).unwrap().max;
+    stage.start_move(&pose(Axis::X, end)).unwrap();
+    stage.stop().unwrap();
+}
+
+#[test]
+fn a_coupled_pose_out_of_reach_is_refused_before_it_is_sent() {
+    let (emulator, stage) = hexapod();
+    let to = pose(Axis::X, 20e-3).with_si(Axis::Y, 20e-3);
+    let why = detail(stage.start_move(&to).unwrap_err());
+    assert!(why.contains("cannot be reached"), "{why}");
+    assert!(!emulator.heard().iter().any(|l| l.starts_with("MOV")));
+    assert_eq!(emulator.truth(), [0.0; 6]);
+    // Each alone is possible.
+    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
+    stage.stop().unwrap();
+}
+
+#[test]
+fn a_pose_that_the_controller_itself_refuses_is_told_in_words() {
+    let emulator = Gcs2Emulator::serve(EmulatedStage::hexapod()).unwrap();
+    let mut settings = settings();
+    settings.coupled = false;
+    let stage = connect(&emulator, &settings).unwrap();
+    let to = pose(Axis::X, 20e-3).with_si(Axis::Y, 20e-3);
+    let why = detail(stage.start_move(&to).unwrap_err());
+    assert!(why.contains("error 7") && why.contains("limits"), "{why}");
+    assert_eq!(stage.poll().unwrap(), Motion::Settled);
+    assert_eq!(emulator.truth(), [0.0; 6]);
+}
+
+#[test]
+fn other_error_numbers_are_told_with_the_number() {
+    let (emulator, stage) = hexapod();
+    for number in [1, 17, 815] {
+        emulator.set_error(number);
+        let why = detail(stage.set_platform_velocity_um_per_s(1000.0).unwrap_err());
+        assert!(why.contains(&format!("error {number}:")), "{why}");
+        // Reading it has cleared it.
+        stage.set_platform_velocity_um_per_s(1000.0).unwrap();
+    }
+}
+
+#[test]
+fn a_second_move_is_refused_while_one_runs() {
+    let (_emulator, stage) = hexapod();
+    stage.start_move(&pose(Axis::X, 10e-3)).unwrap();
+    for to in [0.0, 10e-3] {
+        assert_eq!(
+            stage.start_move(&pose(Axis::X, to)),
+            Err(ScopeError::Busy { device: "stage" })
+        );
+    }
+    assert_eq!(stage.home(), Err(ScopeError::Busy { device: "stage" }));
+    stage.stop().unwrap();
+    assert_eq!(stage.poll().unwrap(), Motion::Stopped);
+    stage.start_move(&pose(Axis::X, 0.0)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+}
+
+#[test]
+fn a_stage_that_is_not_homed_says_so_and_moves_only_when_told_to_home() {
+    let (emulator, stage) = hexapod_with(|s| s.referenced = false);
+    assert!(!stage.is_homed().unwrap());
+    for why in [
+        detail(stage.start_move(&pose(Axis::X, 1e-3)).unwrap_err()),
+        detail(stage.position().unwrap_err()),
+    ] {
+        assert!(why.contains("not homed"), "{why}");
+    }
+    let moves = |l: &String| l.starts_with("FRF ") || l.starts_with("MOV");
+    assert!(!emulator.heard().iter().any(moves));
+    stage.home().unwrap();
+    assert_eq!(stage.poll().unwrap(), Motion::Moving);
+    assert!(!stage.is_homed().unwrap());
+    for busy in [
+        stage.start_move(&pose(Axis::X, 1e-3)),
+        stage.position().map(|_| ()),
+        stage.home(),
+    ] {
+        assert_eq!(busy, Err(ScopeError::Busy { device: "stage" }));
+    }
+    assert_eq!(wait(&stage), Motion::Settled);
+    assert!(stage.is_homed().unwrap());
+    stage.start_move(&pose(Axis::X, 1e-3)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+}
+
+#[test]
+fn a_reference_move_can_be_stopped() {
+    let (_emulator, stage) = hexapod_with(|s| {
+        s.referenced = false;
+        s.reference_ms = 5000;
+    });
+    stage.home().unwrap();
+    let start = Instant::now();
+    stage.stop().unwrap();
+    assert!(start.elapsed() < Duration::from_millis(250));
+    assert_eq!(stage.poll().unwrap(), Motion::Stopped);
+    assert!(!stage.is_homed().unwrap());
+}
+
+#[test]
+fn pivot_and_velocity_are_set_and_read_back() {
+    let (_emulator, stage) = hexapod();
+    let point = [0.0, -1500.0, 20_000.0].map(Length::from_um);
+    stage.set_pivot(point).unwrap();
+    for (a, b) in stage.pivot().unwrap().into_iter().zip(point) {
+        assert!((a.um() - b.um()).abs() < 1e-3);
+    }
+    stage.set_platform_velocity_um_per_s(2500.0).unwrap();
+    assert!((stage.platform_velocity_um_per_s().unwrap() - 2500.0).abs() < 1e-6);
+    for wrong in [0.0, -1.0, f64::NAN] {
+        assert!(matches!(
+            stage.set_platform_velocity_um_per_s(wrong),
+            Err(ScopeError::BadSetting { .. })
+        ));
+    }
+    stage.start_move(&pose(Axis::Rz, 0.01)).unwrap();
+    wait(&stage);
+    let why = detail(stage.set_pivot(point).unwrap_err());
+    assert!(why.contains("rotations are zero"), "{why}");
+}
+
+/// Stops a hundred moves on the way while another thread polls, and prints how long it took until the stage stood.
+#[test]
+fn stops_on_the_way_are_quick_while_another_thread_polls() {
+    let (emulator, stage) = hexapod();
+    let mut took = Vec::new();
+    let mut there = 10e-3;
+    for _ in 0..100 {
+        stage.start_move(&pose(Axis::X, there)).unwrap();
+        there = -there;
+        let ended = thread::scope(|s| {
+            let polls = s.spawn(|| wait(&stage));
+            thread::sleep(Duration::from_millis(5));
+            let start = Instant::now();
+            stage.stop().unwrap();
+            took.push(start.elapsed());
+            polls.join().unwrap()
+        });
+        assert_eq!(ended, Motion::Stopped);
+        let at = emulator.truth();
+        thread::sleep(Duration::from_millis(1));
+        assert_eq!(emulator.truth(), at, "it creeps");
+        assert!(at[0].abs() < 9.9, "it arrived");
+    }
+    took.sort();
+    let at = |part: usize| took[part * took.len() / 100 - 1];
+    let mut err = std::io::stderr();
+    std::io::Write::write_fmt(
+        &mut err,
+        format_args!("stop: median {:?}, 99th percentile {:?}\n", at(50), at(99)),
+    )
+    .unwrap();
+    assert!(at(99) < Duration::from_millis(250), "{:?}", at(99));
+    // What the stop left behind is read: the next command is not blamed for it.
+    stage.set_platform_velocity_um_per_s(1000.0).unwrap();
+}
+
+#[test]
+fn a_stop_does_not_wait_for_an_answer_that_is_slow() {
+    let (emulator, stage) = hexapod();
+    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
+    emulator.set_fault(Fault::SlowBytes(1));
+    thread::scope(|s| {
+        // Six values of a dozen bytes take a tenth of a second and more.
+        let asks = s.spawn(|| stage.position());
+        thread::sleep(Duration::from_millis(20));
+        let stops = s.spawn(|| stage.stop());
+        thread::sleep(Duration::from_millis(20));
+        assert!(emulator.heard().contains(&"#24".to_string()));
+        assert!(!asks.is_finished(), "the answer was not slow");
+        asks.join().unwrap().unwrap();
+        stops.join().unwrap().unwrap();
+    });
+    let truth = emulator.truth()[0];
+    thread::sleep(Duration::from_millis(20));
+    assert_eq!(emulator.truth()[0], truth);
+    assert_eq!(stage.poll().unwrap(), Motion::Stopped);
+}
+
+#[test]
+fn no_move_starts_after_a_stop_however_they_meet() {
+    let (emulator, stage) = hexapod();
+    for round in 0..60 {
+        thread::scope(|s| {
+            let starts = s.spawn(|| stage.start_move(&pose(Axis::X, 15e-3)));
+            thread::sleep(Duration::from_micros(10 * round));
+            stage.stop().unwrap();
+            let answer = starts.join().unwrap();
+            assert!(
+                matches!(answer, Ok(()) | Err(ScopeError::Interrupted { .. })),
+                "{answer:?}"
+            );
+        });
+        // A start that came after the stop is a new wish: let it be stopped as well.
+        if stage.poll().unwrap() == Motion::Moving {
+            stage.stop().unwrap();
+        }
+        let at = emulator.truth();
+        thread::sleep(Duration::from_millis(2));
+        assert_eq!(emulator.truth(), at);
+    }
+}
+
+/// Holds back the answer to VMO? until the stop byte has gone out.
+struct StopBetween {
+    tcp: Tcp,
+    holds: AtomicBool,
+    stopped: AtomicBool,
+}
+
+impl Transport for Between {
+    fn read(&self, into: &mut [u8], deadline: Instant) -> Result<usize, LinkError> {
+        while self.0.holds.load(SeqCst) && !self.0.stopped.load(SeqCst) {
+            thread::sleep(Duration::from_millis(1));
+        }
+        self.0.tcp.read(into, deadline)
+    }
+    fn write(&self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.0.tcp.write(bytes)?;
+        if bytes.starts_with(b"VMO?") {
+            self.0.holds.store(true, SeqCst);
+        }
+        if bytes == [24] {
+            self.0.stopped.store(true, SeqCst);
+        }
+        Ok(())
+    }
+    fn close(&self) {
+        self.0.tcp.close();
+    }
+}
+
+struct Between(Arc<StopBetween>);
+
+#[test]
+fn a_stop_while_a_move_is_prepared_keeps_it_from_starting() {
+    let emulator = Gcs2Emulator::serve(EmulatedStage::hexapod()).unwrap();
+    let between = Arc::new(StopBetween {
+        tcp: Tcp::connect(&emulator.address(), Duration::from_secs(2)).unwrap(),
+        holds: AtomicBool::new(false),
+        stopped: AtomicBool::new(false),
+    });
+    let stage = Gcs2Stage::connect(Box::new(Between(between.clone())), &settings()).unwrap();
+    thread::scope(|s| {
+        let starts = s.spawn(|| stage.start_move(&pose(Axis::X, 15e-3)));
+        let start = Instant::now();
+        while !between.holds.load(SeqCst) {
+            assert!(start.elapsed() < Duration::from_secs(2), "it never asks");
+            thread::sleep(Duration::from_millis(1));
+        }
+        stage.stop().unwrap();
+        assert_eq!(
+            starts.join().unwrap(),
+            Err(ScopeError::Interrupted { at: None })
+        );
+    });
+    assert!(!emulator.heard().iter().any(|l| l.starts_with("MOV")));
+}
+
+#[test]
+fn stopping_a_stage_that_stands_is_harmless() {
+    let (_emulator, stage) = hexapod();
+    stage.stop().unwrap();
+    stage.stop().unwrap();
+    assert_eq!(stage.poll().unwrap(), Motion::Settled);
+    stage.start_move(&pose(Axis::X, 0.2e-3)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+}
+
+#[test]
+fn a_stop_that_is_ignored_is_repeated_as_a_line_and_then_told() {
+    let (emulator, stage) = hexapod();
+    emulator.set_obeys(Obeys::OnlyLines);
+    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
+    stage.stop().unwrap();
+    assert_eq!(stage.poll().unwrap(), Motion::Stopped);
+    assert!(emulator.heard().contains(&"STP".to_string()));
+
+    emulator.set_obeys(Obeys::None);
+    stage.start_move(&pose(Axis::X, -20e-3)).unwrap();
+    let start = Instant::now();
+    let why = detail(stage.stop().unwrap_err());
+    assert!(why.contains("emergency"), "{why}");
+    assert!(start.elapsed() < Duration::from_secs(2));
+    // The link is sound: it can be tried again.
+    assert_eq!(stage.poll().unwrap(), Motion::Moving);
+    emulator.set_obeys(Obeys::All);
+    stage.stop().unwrap();
+}
+
+#[test]
+fn halting_ends_a_move_too() {
+    let (_emulator, stage) = hexapod();
+    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
+    stage.halt().unwrap();
+    assert_eq!(wait(&stage), Motion::Stopped);
+}
+
+#[test]
+fn a_stop_by_somebody_else_is_not_taken_for_an_arrival() {
+    let (emulator, stage) = hexapod();
+    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
+    emulator.stop_by_hand();
+    assert_eq!(wait(&stage), Motion::Stopped);
+}
+
+#[test]
+fn a_stage_that_stands_off_target_is_waited_for_and_then_counts_as_stopped() {
+    let emulator = Gcs2Emulator::serve(EmulatedStage::hexapod()).unwrap();
+    let mut settings = settings();
+    settings.settle_timeout_ms = 200;
+    let stage = connect(&emulator, &settings).unwrap();
+    for (settles, ends) in [(true, Motion::Settled), (false, Motion::Stopped)] {
+        emulator.set_never_on_target(true);
+        let to = if settles { 0.05e-3 } else { 0.0 };
+        stage.start_move(&pose(Axis::X, to)).unwrap();
+        thread::sleep(Duration::from_millis(60));
+        assert_eq!(stage.poll().unwrap(), Motion::Moving);
+        emulator.set_never_on_target(!settles);
+        assert_eq!(wait(&stage), ends);
+    }
+}
+
+#[test]
+fn eight_threads_may_ask_at_once() {
+    let (_emulator, stage) = hexapod();
+    stage.start_move(&pose(Axis::X, 5e-3)).unwrap();
+    thread::scope(|s| {
+        for _ in 0..8 {
+            s.spawn(|| {
+                for _ in 0..30 {
+                    let at = stage.position().unwrap();
+                    assert!((0.0..=5e-3).contains(&at.si(Axis::X).unwrap()));
+                    stage.poll().unwrap();
+                }
+            });
+        }
+    });
+    stage.stop().unwrap();
+}
+
+/// A fault in the middle of a move: the first call after it fails within the time-out and in its own way; the stage was
+/// told to stop; every later call says that the link is closed and why.
+fn fails(fault: Fault, first: fn(&ScopeError) -> bool, why: &str, hears: bool) {
+    let (emulator, stage) = hexapod();
+    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
+    emulator.set_fault(fault);
+    let start = Instant::now();
+    let error = stage.position().unwrap_err();
+    let took = start.elapsed();
+    assert!(
+        took < Duration::from_millis(300 + 500),
+        "{fault:?} {took:?}"
+    );
+    assert!(first(&error), "{fault:?} {error:?}");
+    for later in [
+        stage.position().map(|_| ()),
+        stage.poll().map(|_| ()),
+        stage.start_move(&pose(Axis::X, 0.0)),
+        stage.stop(),
+        stage.home(),
+    ] {
+        let text = detail(later.unwrap_err());
+        assert!(text.contains("closed because"), "{fault:?} {text}");
+        assert!(text.contains(why), "{fault:?} {text}");
+    }
+    if hears {
+        thread::sleep(Duration::from_millis(50));
+        let at = emulator.truth()[0];
+        thread::sleep(Duration::from_millis(20));
+        assert_eq!(emulator.truth()[0], at, "{fault:?} left it moving");
+        assert!(at < 19.9);
+    }
+}
+
+fn is_device(error: &ScopeError) -> bool {
+    matches!(error, ScopeError::Device { .. })
+}
+
+#[test]
+fn silence_is_a_time_out() {
+    fails(
+        Fault::Silence,
+        |e| matches!(e, ScopeError::Timeout { device: "stage", seconds } if *seconds == 0.3),
+        "no answer",
+        true,
+    );
+}
+
+#[test]
+fn half_an_answer_is_told() {
+    fails(Fault::Half, is_device, "middle of a line", true);
+}
+
+#[test]
+fn an_answer_byte_by_byte_beyond_the_time_out_is_told() {
+    fails(Fault::SlowBytes(20), is_device, "middle of a line", true);
+}
+
+#[test]
+fn garbage_is_told() {
+    fails(Fault::Garbage, is_device, "not text", true);
+}
+
+#[test]
+fn an_endless_line_is_told() {
+    fails(Fault::EndlessLine, is_device, "more than 1024 bytes", false);
+}
+
+#[test]
+fn endless_lines_are_told() {
+    fails(Fault::EndlessLines, is_device, "more than 64 lines", false);
+}
+
+#[test]
+fn a_disconnection_on_the_way_is_told() {
+    fails(Fault::Disconnect, is_device, "closed the connection", false);
+}
+
+#[test]
+fn an_answer_that_comes_after_its_end_closes_the_link() {
+    let (emulator, stage) = hexapod();
+    emulator.set_fault(Fault::Garbage);
+    assert!(stage.stop().is_err());
+    emulator.set_fault(Fault::None);
+    // It would answer again, but nobody knows to what.
+    assert!(detail(stage.poll().unwrap_err()).contains("closed because"));
+    // A new connection works.
+    let again = connect(&emulator, &settings()).unwrap();
+    assert_eq!(again.poll().unwrap(), Motion::Settled);
+}
+
+#[test]
+fn a_driver_that_ends_on_the_way_stops_the_stage() {
+    let (emulator, stage) = hexapod();
+    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
+    drop(stage);
+    thread::sleep(Duration::from_millis(50));
+    let at = emulator.truth();
+    thread::sleep(Duration::from_millis(20));
+    assert_eq!(emulator.truth(), at);
+    assert!(at[0] < 19.0);
+}
+
+#[test]
+fn something_else_on_the_port_is_told() {
+    let emulator = Gcs2Emulator::serve(EmulatedStage::hexapod()).unwrap();
+    emulator.set_fault(Fault::EndlessLines);
+    assert!(is_device(&connect(&emulator, &settings()).err().unwrap()));
+}

@@ -1,0 +1,339 @@
+//! The Sangaboard driver against the emulated board, over TCP.
+
+use scopeservo_drivers::emulator::Fault;
+use scopeservo_drivers::emulator::sangaboard::{EmulatedSanga, SangaEmulator};
+use scopeservo_drivers::link::Tcp;
+use scopeservo_drivers::sangaboard::{SangaAxis, SangaSettings, SangaStage};
+use scopeservo_scope::{Axis, Kinematics, Motion, PositiveZ, ScopeError, Stage, StagePose};
+use std::thread;
+use std::time::{Duration, Instant};
+
+fn settings() -> SangaSettings {
+    let axis = |um_per_step| SangaAxis {
+        um_per_step,
+        min_um: -2000.0,
+        max_um: 2000.0,
+        repeatability_um: 0.2,
+    };
+    SangaSettings {
+        kinematics: Kinematics::SpecimenXyOnTop,
+        positive_z: PositiveZ::Closer,
+        x: Some(axis(0.1)),
+        y: Some(axis(-0.1)),
+        z: Some(axis(0.05)),
+        boot_ms: 0,
+        reply_timeout_ms: 300,
+        stop_timeout_ms: 200,
+    }
+}
+
+fn connect(emulator: &SangaEmulator, settings: &SangaSettings) -> Result<SangaStage, ScopeError> {
+    let tcp = Tcp::connect(&emulator.address(), Duration::from_secs(2)).unwrap();
+    SangaStage::connect(Box::new(tcp), settings)
+}
+
+fn start_with(
+    change: impl FnOnce(&mut EmulatedSanga),
+) -> (SangaEmulator, Result<SangaStage, ScopeError>) {
+    let mut board = EmulatedSanga::new();
+    change(&mut board);
+    let emulator = SangaEmulator::serve(board).unwrap();
+    let stage = connect(&emulator, &settings());
+    (emulator, stage)
+}
+
+fn start() -> (SangaEmulator, SangaStage) {
+    let (emulator, stage) = start_with(|_| {});
+    (emulator, stage.unwrap())
+}
+
+fn pose(axis: Axis, um: f64) -> StagePose {
+    StagePose::default().with_si(axis, um * 1e-6)
+}
+
+fn wait(stage: &impl Stage) -> Motion {
+    let start = Instant::now();
+    loop {
+        match stage.poll().unwrap() {
+            Motion::Moving => assert!(start.elapsed() < Duration::from_secs(10), "it never ends"),
+            ended => return ended,
+        }
+        thread::sleep(Duration::from_millis(2));
+    }
+}
+
+fn detail(error: ScopeError) -> String {
+    match error {
+        ScopeError::Device { detail, .. } => detail,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn axes_go_to_absolute_places_from_wherever_they_are() {
+    let (emulator, stage) = start_with(|b| b.at_steps = [70, -30, 500]);
+    let stage = stage.unwrap();
+    let at = stage.position().unwrap();
+    assert!((at.si(Axis::X).unwrap() - 7e-6).abs() < 1e-12);
+    assert!(
+        (at.si(Axis::Y).unwrap() - 3e-6).abs() < 1e-12,
+        "turned round"
+    );
+    stage
+        .start_move(&pose(Axis::X, 20.0).with_si(Axis::Y, 30e-6))
+        .unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+    assert_eq!(emulator.truth(), [200, -300, 500]);
+    stage.start_move(&pose(Axis::Z, -10.0)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+    assert_eq!(emulator.truth(), [200, -300, -200]);
+    let at = stage.position().unwrap();
+    assert!((at.si(Axis::Z).unwrap() + 10e-6).abs() < 1e-12);
+    assert_eq!(at.si(Axis::Rz), None);
+}
+
+#[test]
+fn connecting_moves_nothing() {
+    let (emulator, stage) = start();
+    let heard = emulator.heard();
+    let want = [
+        "version",
+        "blocking_moves?",
+        "stop",
+        "blocking_moves false",
+        "p?",
+    ];
+    assert_eq!(heard, want);
+    assert_eq!(emulator.truth(), [0; 3]);
+    drop(stage);
+    // The board has kept the setting; it is not written again.
+    let _again = connect(&emulator, &settings()).unwrap();
+    let heard = emulator.heard();
+    let written = heard.iter().filter(|l| *l == "blocking_moves false");
+    assert_eq!(written.count(), 1);
+}
+
+#[test]
+fn firmware_that_cannot_stop_is_refused() {
+    let (_emulator, stage) = start_with(|b| b.knows_stop = false);
+    let why = detail(stage.err().unwrap());
+    assert!(why.contains("not even a stop"), "{why}");
+}
+
+#[test]
+fn limits_and_missing_axes_are_refused_and_nothing_is_sent() {
+    let emulator = SangaEmulator::serve(EmulatedSanga::new()).unwrap();
+    let mut settings = settings();
+    settings.y = None;
+    let stage = connect(&emulator, &settings).unwrap();
+    let before = emulator.heard().len();
+    for outside in [-2001.0, 2001.0] {
+        assert!(matches!(
+            stage.start_move(&pose(Axis::X, outside)),
+            Err(ScopeError::OutsideLimits { .. })
+        ));
+    }
+    for axis in [Axis::Y, Axis::Rx, Axis::Rz] {
+        assert_eq!(
+            stage.start_move(&pose(axis, 0.0)),
+            Err(ScopeError::NoSuchAxis { axis })
+        );
+    }
+    assert_eq!(
+        stage.start_move(&pose(Axis::Z, f64::NAN)),
+        Err(ScopeError::NotFinite { axis: Axis::Z })
+    );
+    assert_eq!(emulator.heard().len(), before);
+    assert_eq!(stage.position().unwrap().si(Axis::Y), None);
+}
+
+#[test]
+fn a_second_move_is_refused_while_one_runs() {
+    let (_emulator, stage) = start();
+    stage.start_move(&pose(Axis::X, 1000.0)).unwrap();
+    let busy = Err(ScopeError::Busy { device: "stage" });
+    assert_eq!(stage.start_move(&pose(Axis::X, 0.0)), busy);
+    assert_eq!(stage.release(), busy);
+    stage.stop().unwrap();
+    assert_eq!(stage.poll().unwrap(), Motion::Stopped);
+    stage.release().unwrap();
+    stage.start_move(&pose(Axis::X, 0.0)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+}
+
+#[test]
+fn stops_on_the_way_are_quick_while_another_thread_polls() {
+    let (emulator, stage) = start();
+    let mut took = Vec::new();
+    let mut there = 1500.0;
+    for _ in 0..50 {
+        stage.start_move(&pose(Axis::X, there)).unwrap();
+        there = -there;
+        let ended = thread::scope(|s| {
+            let polls = s.spawn(|| wait(&stage));
+            thread::sleep(Duration::from_millis(5));
+            let start = Instant::now();
+            stage.stop().unwrap();
+            took.push(start.elapsed());
+            polls.join().unwrap()
+        });
+        assert_eq!(ended, Motion::Stopped);
+        let at = emulator.truth();
+        thread::sleep(Duration::from_millis(2));
+        assert_eq!(emulator.truth(), at, "it creeps");
+    }
+    took.sort();
+    let mut err = std::io::stderr();
+    std::io::Write::write_fmt(
+        &mut err,
+        format_args!(
+            "stop: median {:?}, slowest of 50 {:?}\n",
+            took[24], took[49]
+        ),
+    )
+    .unwrap();
+    assert!(took[49] < Duration::from_millis(250), "{:?}", took[49]);
+}
+
+#[test]
+fn stops_from_many_threads_do_not_mix_up_the_answers() {
+    let (_emulator, stage) = start();
+    stage.start_move(&pose(Axis::X, 2000.0)).unwrap();
+    thread::scope(|s| {
+        for i in 0..8 {
+            let stage = &stage;
+            s.spawn(move || {
+                for _ in 0..30 {
+                    let at = stage.position().unwrap().si(Axis::X).unwrap();
+                    assert!((0.0..2e-3).contains(&at));
+                    if i % 2 == 0 {
+                        stage.stop().unwrap();
+                    }
+                }
+            });
+        }
+    });
+    assert_eq!(stage.poll().unwrap(), Motion::Stopped);
+}
+
+#[test]
+fn a_move_that_ends_early_is_not_taken_for_an_arrival() {
+    let (emulator, stage) = start();
+    stage.start_move(&pose(Axis::X, 1000.0)).unwrap();
+    emulator.block();
+    assert_eq!(wait(&stage), Motion::Stopped);
+}
+
+#[test]
+fn a_stop_that_is_ignored_is_told() {
+    let (emulator, stage) = start();
+    stage.start_move(&pose(Axis::X, 2000.0)).unwrap();
+    emulator.ignore_stops();
+    let why = detail(stage.stop().unwrap_err());
+    assert!(why.contains("emergency"), "{why}");
+}
+
+#[test]
+fn a_board_that_starts_when_the_port_is_opened_is_waited_for() {
+    let mut board = EmulatedSanga::new();
+    board.greets_after_ms = Some(200);
+    let emulator = SangaEmulator::serve(board).unwrap();
+    let mut settings = settings();
+    settings.boot_ms = 3000;
+    let start = Instant::now();
+    let stage = connect(&emulator, &settings).unwrap();
+    let took = start.elapsed();
+    assert!(took > Duration::from_millis(150) && took < Duration::from_secs(2));
+    stage.start_move(&pose(Axis::X, 1.0)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+}
+
+/// As in the tests of GCS 2.
+fn fails(fault: Fault, first: fn(&ScopeError) -> bool, why: &str, hears: bool) {
+    let (emulator, stage) = start();
+    stage.start_move(&pose(Axis::X, 2000.0)).unwrap();
+    emulator.set_fault(fault);
+    let start = Instant::now();
+    let error = stage.position().unwrap_err();
+    let took = start.elapsed();
+    assert!(
+        took < Duration::from_millis(300 + 500),
+        "{fault:?} {took:?}"
+    );
+    assert!(first(&error), "{fault:?} {error:?}");
+    for later in [
+        stage.position().map(|_| ()),
+        stage.poll().map(|_| ()),
+        stage.start_move(&pose(Axis::X, 0.0)),
+        stage.stop(),
+        stage.release(),
+    ] {
+        let text = detail(later.unwrap_err());
+        assert!(text.contains("closed because"), "{fault:?} {text}");
+        assert!(text.contains(why), "{fault:?} {text}");
+    }
+    if hears {
+        thread::sleep(Duration::from_millis(50));
+        let at = emulator.truth()[0];
+        thread::sleep(Duration::from_millis(20));
+        assert_eq!(emulator.truth()[0], at, "{fault:?} left it moving");
+        assert!(at < 19_000);
+    }
+}
+
+fn is_device(error: &ScopeError) -> bool {
+    matches!(error, ScopeError::Device { .. })
+}
+
+#[test]
+fn silence_is_a_time_out() {
+    let time_out = |e: &ScopeError| matches!(e, ScopeError::Timeout { .. });
+    fails(Fault::Silence, time_out, "no answer", true);
+}
+
+#[test]
+fn half_an_answer_is_told() {
+    fails(Fault::Half, is_device, "middle of a line", true);
+}
+
+#[test]
+fn an_answer_byte_by_byte_beyond_the_time_out_is_told() {
+    fails(Fault::SlowBytes(100), is_device, "middle of a line", true);
+}
+
+#[test]
+fn garbage_is_told() {
+    fails(Fault::Garbage, is_device, "not text", true);
+}
+
+#[test]
+fn an_endless_line_is_told() {
+    fails(Fault::EndlessLine, is_device, "more than 256 bytes", false);
+}
+
+#[test]
+fn answers_to_nothing_are_told() {
+    fails(
+        Fault::EndlessLines,
+        is_device,
+        "an answer could not be",
+        false,
+    );
+}
+
+#[test]
+fn a_disconnection_on_the_way_is_told() {
+    fails(Fault::Disconnect, is_device, "closed the connection", false);
+}
+
+#[test]
+fn a_driver_that_ends_on_the_way_stops_the_stage() {
+    let (emulator, stage) = start();
+    stage.start_move(&pose(Axis::X, 2000.0)).unwrap();
+    drop(stage);
+    thread::sleep(Duration::from_millis(50));
+    let at = emulator.truth();
+    thread::sleep(Duration::from_millis(20));
+    assert_eq!(emulator.truth(), at);
+    assert!(at[0] < 19_000);
+}
