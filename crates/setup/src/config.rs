@@ -1,6 +1,9 @@
 //! The file. Every key has its unit in its name; unknown keys are errors.
 
 use crate::SetupError;
+use scopeservo_drivers::gcode::GcodeSettings;
+use scopeservo_drivers::gcs2::Gcs2Settings;
+use scopeservo_drivers::sangaboard::SangaSettings;
 use scopeservo_scope::Workspace;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -55,7 +58,7 @@ fn data_folder() -> PathBuf {
     "scopeservo-data".into()
 }
 
-/// How a driver is found: exactly one of `program`, `tcp` and `twin`.
+/// How a driver is found: exactly one of `program`, `tcp`, `twin`, `gcs2`, `gcode` and `sangaboard`.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DriverConfig {
@@ -67,6 +70,37 @@ pub struct DriverConfig {
     pub secret_file: Option<PathBuf>,
     /// The simulated microscope.
     pub twin: Option<TwinConfig>,
+    /// A stage on a controller of PI's that speaks GCS 2.
+    pub gcs2: Option<OwnConfig<Gcs2Settings>>,
+    /// A stage on a Marlin-type G-code board.
+    pub gcode: Option<OwnConfig<GcodeSettings>>,
+    /// A stage on a Sangaboard.
+    pub sangaboard: Option<OwnConfig<SangaSettings>>,
+}
+
+/// One of our own drivers: where the device is, exactly one of `tcp` and `serial`, and how it is set up.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OwnConfig<T> {
+    /// Address and port.
+    pub tcp: Option<String>,
+    /// A serial port.
+    pub serial: Option<String>,
+    /// Its speed, bits per second.
+    #[serde(default = "baud")]
+    pub baud: u32,
+    /// How the device is set up.
+    pub settings: T,
+}
+
+fn baud() -> u32 {
+    115_200
+}
+
+impl<T> OwnConfig<T> {
+    pub(crate) fn has_one_place(&self) -> bool {
+        self.tcp.is_some() != self.serial.is_some()
+    }
 }
 
 /// The simulated microscope.
@@ -265,10 +299,23 @@ impl Config {
                 driver.program.is_some(),
                 driver.tcp.is_some(),
                 driver.twin.is_some(),
+                driver.gcs2.is_some(),
+                driver.gcode.is_some(),
+                driver.sangaboard.is_some(),
             ];
+            let places = [
+                driver.gcs2.as_ref().map(OwnConfig::has_one_place),
+                driver.gcode.as_ref().map(OwnConfig::has_one_place),
+                driver.sangaboard.as_ref().map(OwnConfig::has_one_place),
+            ];
+            if places.into_iter().flatten().any(|one| !one) {
+                return Err(self.senseless(format!(
+                    "drivers.{name} must say where the device is: exactly one of tcp and serial"
+                )));
+            }
             if kinds.iter().filter(|&&k| k).count() != 1 {
                 return Err(self.senseless(format!(
-                    "drivers.{name} must have exactly one of program, tcp and twin"
+                    "drivers.{name} must have exactly one of program, tcp, twin, gcs2, gcode and sangaboard"
                 )));
             }
             if driver.program.as_ref().is_some_and(Vec::is_empty) {
@@ -410,7 +457,7 @@ mod tests {
             "[drivers.twin]\ntcp = \"localhost:1\"\n[drivers.twin.twin]",
         );
         assert!(
-            kinds.contains("exactly one of program, tcp and twin"),
+            kinds.contains("exactly one of program, tcp, twin"),
             "{kinds}"
         );
         let none = wrong("nosepiece = \"twin\"", "nosepiece = \"none\"");

@@ -7,11 +7,14 @@ mod by_hand;
 mod config;
 mod error;
 mod open;
+mod own;
 mod rules;
 mod template;
 
 pub use by_hand::Ask;
-pub use config::{Config, DeviceName, DriverConfig, ObjectiveConfig, TwinConfig, TwinStage};
+pub use config::{
+    Config, DeviceName, DriverConfig, ObjectiveConfig, OwnConfig, TwinConfig, TwinStage,
+};
 pub use error::SetupError;
 pub use open::{Consent, Opened, open};
 pub use template::{TEMPLATE, TWIN_TEMPLATE};

@@ -3,6 +3,7 @@
 use crate::SetupError;
 use crate::by_hand::{Ask, ByHand};
 use crate::config::{Config, DriverConfig, ObjectiveConfig, TwinConfig, TwinStage};
+use crate::own;
 use crate::rules::rules;
 use scopeservo_protocol::{Devices, Driver, Light, Secret};
 use scopeservo_scope::{
@@ -103,11 +104,28 @@ fn of<'a>(all: &'a mut BTreeMap<&str, Found>, driver: &str) -> Option<&'a mut De
 }
 
 /// A driver that was found.
-struct Found {
-    name: String,
-    devices: Devices,
-    driver: Option<Driver>,
-    twin: Option<Twin>,
+pub(crate) struct Found {
+    pub(crate) name: String,
+    pub(crate) devices: Devices,
+    pub(crate) homing: Option<Box<dyn Homing>>,
+    pub(crate) twin: Option<Twin>,
+}
+
+/// A stage that may have to find its reference.
+pub(crate) trait Homing {
+    /// Whether it knows where it is.
+    fn is_homed(&self) -> Result<bool, ScopeError>;
+    /// Begins to find its reference, which may move anything anywhere.
+    fn start_homing(&self) -> Result<(), ScopeError>;
+}
+
+impl Homing for Driver {
+    fn is_homed(&self) -> Result<bool, ScopeError> {
+        Ok(self.hello().stage.as_ref().is_none_or(|s| s.homed))
+    }
+    fn start_homing(&self) -> Result<(), ScopeError> {
+        Driver::start_homing(self)
+    }
 }
 
 impl Found {
@@ -119,16 +137,16 @@ impl Found {
         consent: &Consent,
         cancel: &CancelToken,
     ) -> Result<(), ScopeError> {
-        let Some(driver) = &self.driver else {
+        let Some(homing) = &self.homing else {
             return Ok(());
         };
-        if driver.hello().stage.as_ref().is_none_or(|s| s.homed) {
+        if homing.is_homed()? {
             return Ok(());
         }
         if !consent.home {
             return Err(ScopeError::NotHomed { device: "stage" });
         }
-        driver.start_homing()?;
+        homing.start_homing()?;
         let start = clock.now();
         loop {
             if cancel.is_cancelled() {
@@ -159,6 +177,9 @@ fn find(
     if let Some(twin) = &driver.twin {
         return simulated(config, twin, clock);
     }
+    if let Some(own) = own::find(config, driver)? {
+        return Ok(own);
+    }
     let driver = match (&driver.program, &driver.tcp) {
         (Some(program), _) => {
             // The check saw that it is not empty.
@@ -184,7 +205,7 @@ fn find(
     Ok(Found {
         name: driver.hello().name.clone(),
         devices: driver.devices(clock)?,
-        driver: Some(driver),
+        homing: Some(Box::new(driver)),
         twin: None,
     })
 }
@@ -245,7 +266,7 @@ fn simulated(
             nosepiece: Some(twin.nosepiece()),
             light: None,
         },
-        driver: None,
+        homing: None,
         twin: Some(twin),
     })
 }
