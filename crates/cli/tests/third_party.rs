@@ -74,10 +74,13 @@ fn serve(program: &Path, args: &[&str], folder: &Path) -> Served {
     Served { child, address }
 }
 
+const THEIR_NOSEPIECE: &str = "nosepiece = \"them\"\n";
+
+/// A description; `more` begins with the nosepiece.
 fn describe(folder: &Path, address: &str, more: &str) {
     let text = format!(
         "name = \"third party\"\n[drivers.them]\ntcp = \"{address}\"\n\
-         [devices]\nstage = \"them\"\ncamera = \"them\"\nnosepiece = \"them\"\n{more}"
+         [devices]\nstage = \"them\"\ncamera = \"them\"\n{more}"
     );
     fs::write(folder.join("scopeservo.toml"), text).unwrap();
 }
@@ -141,7 +144,7 @@ fn micro_managers_beads_are_found_again() {
         &["-m", "scopeservo_driver.pymmcore", "--demo", "beads"],
         here,
     );
-    describe(here, &them.address, "");
+    describe(here, &them.address, THEIR_NOSEPIECE);
     assert_eq!(ok(here, &["doctor", "--json"])["ok"], true);
     let focus = ok(here, &["focus", "--json"]);
     assert!(
@@ -171,7 +174,7 @@ fn micro_managers_sample_is_found_again_across_two_objectives() {
     describe(
         here,
         &them.address,
-        "[objective_change]\nretract_z_um = -90\n",
+        &format!("{THEIR_NOSEPIECE}[objective_change]\nretract_z_um = -90\n"),
     );
     assert_eq!(ok(here, &["doctor", "--json"])["ok"], true);
     let made = ok(here, &["calibrate", "--no-focus", "--json"]);
@@ -206,20 +209,9 @@ fn specimen(path: &Path, size: usize) {
         .unwrap();
 }
 
-#[test]
-fn python_microscopes_stage_aware_camera_is_driven_within_its_limits() {
-    let Some(python) = python() else { return };
-    let dir = tempfile::tempdir().unwrap();
-    let here = dir.path();
-    specimen(&here.join("specimen.png"), 2400);
-    let args = [
-        "-m",
-        "scopeservo_driver.microscope",
-        "--image",
-        "specimen.png",
-    ];
-    let them = serve(&python, &args, here);
-    describe(here, &them.address, "");
+/// The same with python-microscope's simulated stage and camera, however they are reached.
+fn drive_stage_aware_camera(here: &Path, them: &Served, nosepiece: &str) {
+    describe(here, &them.address, nosepiece);
     assert_eq!(ok(here, &["doctor", "--json"])["ok"], true);
     let made = ok(here, &["calibrate", "--no-focus", "--json"]);
     let um_per_px = made["calibrations"][0]["calibration"]["um_per_px"]
@@ -239,6 +231,81 @@ fn python_microscopes_stage_aware_camera_is_driven_within_its_limits() {
 }
 
 #[test]
+fn python_microscopes_stage_aware_camera_is_driven_within_its_limits() {
+    let Some(python) = python() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    specimen(&here.join("specimen.png"), 2400);
+    let args = [
+        "-m",
+        "scopeservo_driver.microscope",
+        "--image",
+        "specimen.png",
+    ];
+    drive_stage_aware_camera(here, &serve(&python, &args, here), THEIR_NOSEPIECE);
+}
+
+/// python-microscope's own device server; ended by a signal, so that it ends its devices.
+struct DeviceServer(Child);
+
+impl Drop for DeviceServer {
+    fn drop(&mut self) {
+        let _ = Command::new("kill").arg(self.0.id().to_string()).status();
+        let _ = self.0.wait();
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn and_so_it_is_behind_its_device_server() {
+    let Some(python) = python() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    specimen(&here.join("specimen.png"), 2400);
+    let port = free_port();
+    let setup = format!(
+        "from microscope.device_server import device\n\
+         from microscope.simulators.stage_aware_camera import simulated_setup_from_image\n\
+         DEVICES = [device(simulated_setup_from_image, '127.0.0.1', {port}, conf={{'filepath': 'specimen.png'}})]\n"
+    );
+    fs::write(here.join("devices.py"), setup).unwrap();
+    let server = Command::new(&python)
+        .current_dir(here)
+        .args(["-m", "microscope.device_server", "devices.py"])
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let _server = DeviceServer(server);
+    let start = std::time::Instant::now();
+    while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
+        assert!(
+            start.elapsed() < Duration::from_secs(30),
+            "no device server"
+        );
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    let uri = |device: &str| format!("PYRO:{device}@127.0.0.1:{port}");
+    let (stage, camera) = (uri("stage"), uri("camera"));
+    let args = [
+        "-m",
+        "scopeservo_driver.microscope",
+        "--stage",
+        &stage,
+        "--camera",
+        &camera,
+        "--exposure-ms",
+        "1",
+        "1000",
+        "--positive-z",
+        "apart",
+    ];
+    let one = "nosepiece = \"none\"\n[[objective]]\nid = \"10x\"\nmagnification = 100\nnumerical_aperture = 0.25\num_per_px = 1.0\n";
+    drive_stage_aware_camera(here, &serve(&python, &args, here), one);
+}
+
+#[test]
 fn camera_stage_mapping_measures_the_twin_as_we_do() {
     let Some(python) = python() else { return };
     let dir = tempfile::tempdir().unwrap();
@@ -248,7 +315,7 @@ fn camera_stage_mapping_measures_the_twin_as_we_do() {
     describe(
         here,
         &twin.address,
-        "[objective_change]\nretract_z_um = -2000\n",
+        &format!("{THEIR_NOSEPIECE}[objective_change]\nretract_z_um = -2000\n"),
     );
     let ours = ok(here, &["calibrate", "--objective", "10x", "--json"]);
     let ours = &ours["calibrations"][0]["calibration"]["full"];

@@ -70,7 +70,12 @@ pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<O
         "by-hand" | "none" => Box::new(ByHand::new(objectives(config)?, consent.ask.clone())),
         driver => of(&mut all, driver)
             .and_then(|d| d.nosepiece.take())
-            .ok_or_else(|| lacks(driver, "nosepiece"))?,
+            .ok_or_else(|| {
+                config.senseless(format!(
+                    "devices.nosepiece is '{driver}', which has none: say \"none\" or \"by-hand\" and describe the objectives as \
+                     [[objective]]"
+                ))
+            })?,
     };
     let light = match &devices.light {
         None => None,
