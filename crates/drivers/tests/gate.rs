@@ -42,8 +42,11 @@ impl Camera for NoCamera {
 #[derive(Clone)]
 struct Turret {
     objectives: Vec<Objective>,
-    state: Arc<Mutex<(Option<usize>, Option<(usize, Instant)>)>>,
+    state: Arc<Mutex<Turn>>,
 }
+
+/// The objective in the beam, and the one on its way with the time of its arrival.
+type Turn = (Option<usize>, Option<(usize, Instant)>);
 
 impl Turret {
     fn new() -> Self {
