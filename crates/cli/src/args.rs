@@ -61,7 +61,8 @@ pub(crate) struct InstrumentArgs {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   scopeservo init                  for your own instrument: edit it, then run `scopeservo doctor`
-  scopeservo init --twin           for the simulated microscope, ready to use")]
+  scopeservo init --twin           for the simulated microscope, ready to use
+  scopeservo init --schema > scopeservo.schema.json      for editors that complete and check TOML")]
 pub(crate) struct InitArgs {
     /// The file to write. One that is there is never overwritten.
     #[arg(default_value = "scopeservo.toml")]
@@ -69,6 +70,9 @@ pub(crate) struct InitArgs {
     /// Describe the simulated microscope.
     #[arg(long)]
     pub(crate) twin: bool,
+    /// Print a JSON schema of the file on stdout, for editors, and write nothing.
+    #[arg(long, conflicts_with = "twin")]
+    pub(crate) schema: bool,
 }
 
 #[derive(Debug, Args)]

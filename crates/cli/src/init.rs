@@ -2,11 +2,15 @@
 
 use crate::args::InitArgs;
 use crate::error::CliError;
-use scopeservo_setup::{TEMPLATE, TWIN_TEMPLATE};
+use scopeservo_setup::{SCHEMA, TEMPLATE, TWIN_TEMPLATE};
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
 
 pub(crate) fn run(args: &InitArgs) -> Result<bool, CliError> {
+    if args.schema {
+        say!("{}", SCHEMA.trim_end());
+        return Ok(true);
+    }
     let path = &args.file;
     let text = if args.twin { TWIN_TEMPLATE } else { TEMPLATE };
     let file = OpenOptions::new().write(true).create_new(true).open(path);

@@ -17,4 +17,4 @@ pub use config::{
 };
 pub use error::SetupError;
 pub use open::{Consent, Opened, open};
-pub use template::{TEMPLATE, TWIN_TEMPLATE};
+pub use template::{SCHEMA, TEMPLATE, TWIN_TEMPLATE};

@@ -1,5 +1,8 @@
 //! What `scopeservo init` writes.
 
+/// A JSON schema of the file, for editors.
+pub const SCHEMA: &str = include_str!("scopeservo.schema.json");
+
 /// For an instrument of the user's.
 pub const TEMPLATE: &str = r#"# What this instrument is made of and what it may do. Units are in the names: um, deg, ms.
 # `scopeservo doctor` checks it without moving anything.
