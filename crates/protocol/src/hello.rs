@@ -136,6 +136,27 @@ pub struct LightHello {
     pub name: String,
 }
 
+impl Hello {
+    /// Whether what it says of its devices is possible.
+    ///
+    /// # Errors
+    /// A sentence that names the device and what is wrong.
+    pub fn check(&self) -> Result<(), String> {
+        if let Some(stage) = &self.stage {
+            stage.info().map_err(|e| format!("stage: {e}"))?;
+        }
+        if let Some(camera) = &self.camera {
+            camera.info().map_err(|e| format!("camera: {e}"))?;
+        }
+        if let Some(nosepiece) = &self.nosepiece {
+            nosepiece
+                .objectives()
+                .map_err(|e| format!("nosepiece: {e}"))?;
+        }
+        Ok(())
+    }
+}
+
 impl StageHello {
     /// What the rest of the program takes it to be, or what is wrong with it.
     pub(crate) fn info(&self) -> Result<StageInfo, String> {
