@@ -195,7 +195,7 @@ pub(crate) struct RepositionArgs {
     /// Iterations at each magnification, at most.
     #[arg(long, value_name = "N", default_value_t = 64)]
     pub(crate) max_iterations: usize,
-    /// Folder for the report.
+    /// Folder for the report; that of an earlier run there is replaced.
     #[arg(long, value_name = "DIR", default_value = "scopeservo-run")]
     pub(crate) out: PathBuf,
     /// Print one JSON object on stdout instead of the summary.

@@ -6,7 +6,7 @@ use crate::store::Store;
 use scopeservo_scope::{CancelToken, Instrument, Objective, ObjectiveId};
 use scopeservo_setup::{Config, Consent, Opened, open};
 use std::io::{BufRead, IsTerminal};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, OnceLock, Weak};
 
 /// What a command works at.
 pub(crate) struct Desk {
@@ -17,20 +17,25 @@ pub(crate) struct Desk {
 }
 
 /// What Ctrl-C stops; empty until the instrument is there.
-type Reins = Arc<OnceLock<Arc<Instrument>>>;
+type Reins = Arc<OnceLock<Weak<Instrument>>>;
 
 /// From now on Ctrl-C cancels, and stops what moves.
 pub(crate) fn rein_in(cancel: &CancelToken) -> Result<Reins, CliError> {
     let reins: Reins = Arc::default();
     let (wish, held) = (cancel.clone(), reins.clone());
     ctrlc::set_handler(move || {
+        let scope = held.get().and_then(Weak::upgrade);
         if wish.is_cancelled() {
-            // Asked twice: the instrument was told to stop, and nobody waits any longer.
-            std::process::exit(1);
+            match &scope {
+                // Asked twice: the instrument was told to stop, and nobody waits any longer.
+                Some(_) => std::process::exit(1),
+                // It may be homing, and only who homes can stop that.
+                None => return eprintln!("scopeservo: stopping; wait for the instrument"),
+            }
         }
         wish.cancel();
         // From here too, should the working thread hang in a device.
-        if let Some(scope) = held.get()
+        if let Some(scope) = scope
             && let Err(error) = scope.gate().stop()
         {
             eprintln!("scopeservo: the instrument did not take the stop: {error}");
@@ -56,12 +61,7 @@ impl Desk {
             ..
         } = open(&config, &consent, cancel)?;
         let scope = Arc::new(instrument);
-        let _ = reins.set(scope.clone());
-        for (id, kept) in store.calibrations()? {
-            if let Some(z) = kept.focus_z() {
-                scope.focus_found(&id, z);
-            }
-        }
+        let _ = reins.set(Arc::downgrade(&scope));
         Ok(Self {
             config,
             store,

@@ -5,7 +5,7 @@ use crate::desk::Desk;
 use crate::error::CliError;
 use crate::output::{self, SCHEMA};
 use scopeservo_scope::conformance::{self, Check};
-use scopeservo_scope::{ChangeRule, Frame, Instrument, Motion, Samples, ScopeError};
+use scopeservo_scope::{Axis, ChangeRule, Frame, Instrument, Motion, Samples, ScopeError};
 use scopeservo_servo::sharpness;
 use scopeservo_sift::{GrayImage, Options, Sift};
 use serde::Serialize;
@@ -194,6 +194,16 @@ fn nosepiece(scope: &Instrument, findings: &mut Findings) {
     findings.look("objectives change", Ok(rule));
 }
 
+/// Whether the nosepiece would turn where the stage stands.
+fn retracted(scope: &Instrument) -> bool {
+    let gate = scope.gate();
+    let ChangeRule::Retracted { z, .. } = gate.rules().change else {
+        return false;
+    };
+    let here = gate.position().ok().and_then(|at| at.si(Axis::Z));
+    here.is_some_and(|here| gate.info().positive_z.nearer_by(here, z) <= 0.0)
+}
+
 /// Shares of samples at full scale and above a twentieth of it, and the mean of all, 0 to 1.
 fn levels(frame: &Frame) -> [f64; 3] {
     let full = f64::from((1u32 << frame.bit_depth) - 1);
@@ -223,11 +233,8 @@ fn camera(scope: &Instrument, findings: &mut Findings) {
     let exposure = scope.camera().exposure().map_err(told);
     let exposure = exposure.map(|e| format!("{:.2} ms", e.as_secs_f64() * 1e3));
     findings.look("the camera says its exposure", exposure);
-    for check in conformance::check_camera(scope) {
-        // That of the exposure changes it for a moment; it stays out where nothing was allowed.
-        if !check.name.contains("exposure") {
-            findings.add(check.into());
-        }
+    for check in conformance::check_frames(scope) {
+        findings.add(check.into());
     }
     let start = Instant::now();
     let frame = match scope.grab() {
@@ -262,6 +269,10 @@ fn camera(scope: &Instrument, findings: &mut Findings) {
     let seen = features.map_err(|e| e.to_string()).and_then(|n| {
         let seen = format!("{n} features, sharpness {:.4}", sharpness(&frame));
         match n >= ENOUGH_FEATURES {
+            // What is in focus is not far away: then the sign or the height is wrong, and the nosepiece would turn here.
+            true if retracted(scope) => Err(format!(
+                "{seen}; yet z counts as retracted, so that the nosepiece would turn at this height: check the sign of retract_z_um"
+            )),
             true => Ok(seen),
             false => Err(format!(
                 "{seen}: too little to calibrate or to come back to; focus, or go to a place with structure"

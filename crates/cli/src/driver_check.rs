@@ -60,7 +60,7 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
     )?;
     let camera = devices.camera.unwrap_or_else(|| Box::new(NoCamera::new()));
     let scope = Arc::new(Instrument::new(gate, camera, clock, cancel));
-    let _ = reins.set(scope.clone());
+    let _ = reins.set(Arc::downgrade(&scope));
 
     let [stage, camera, nosepiece] = has;
     let mut checks = Vec::new();

@@ -30,12 +30,6 @@ pub(crate) struct KeptCalibration {
     pub(crate) residual_px: Option<f64>,
 }
 
-impl KeptCalibration {
-    pub(crate) fn focus_z(&self) -> Option<Length> {
-        self.focus_z_um.map(Length::from_um)
-    }
-}
-
 /// A target as it is kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct KeptTarget {
@@ -66,7 +60,8 @@ impl Store {
     /// The newest calibration of each objective.
     pub(crate) fn calibrations(&self) -> Result<BTreeMap<ObjectiveId, KeptCalibration>, CliError> {
         let mut all = BTreeMap::new();
-        for folder in entries(&self.folder.join("calibrations"))? {
+        let folders = entries(&self.folder.join("calibrations"))?;
+        for folder in folders.into_iter().filter(|f| f.is_dir()) {
             // Names are times: the last one is the newest.
             if let Some(path) = entries(&folder)?.into_iter().rfind(|p| is_json(p)) {
                 let kept: KeptCalibration = read(&path)?;
@@ -117,13 +112,15 @@ impl Store {
     /// Refuses a name that is taken or is none, before anything is done for it.
     pub(crate) fn check_new_target(&self, name: &str) -> Result<(), CliError> {
         let path = self.target_file(name)?;
-        match path.exists() {
-            false => Ok(()),
-            true => Err(CliError::Usage(format!(
-                "there is a target '{name}' already ({}), and none is overwritten: give another name, or move the file away",
-                path.display()
-            ))),
+        for path in [path.with_extension("png"), path] {
+            if path.exists() {
+                return Err(CliError::Usage(format!(
+                    "there is a target '{name}' already ({}), and none is overwritten: give another name, or move its files away",
+                    path.display()
+                )));
+            }
         }
+        Ok(())
     }
 
     /// Keeps a target under a new name, with its picture for people. Returns its file.
@@ -326,7 +323,7 @@ mod tests {
         let newest = store.calibrations().unwrap();
         let kept = &newest[&ObjectiveId("Plan 40x/0.65".into())];
         assert_eq!(kept.calibration, calibration(3e-7));
-        assert!((kept.focus_z().unwrap().um() + 12.5).abs() < 1e-9);
+        assert!((kept.focus_z_um.unwrap() + 12.5).abs() < 1e-9);
         fs::write(&files[2], "{\"schema\":1,").unwrap();
         let damaged = store.calibrations().unwrap_err().to_string();
         assert!(damaged.contains("damaged"), "{damaged}");

@@ -301,6 +301,12 @@ pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
     // What can be wrong without the instrument is found before it is touched.
     let config = Config::read(&args.instrument.config)?;
     let kept = Store::new(config.resolve(&config.data_folder)).target(&args.name)?;
+    if kept.instrument != config.name {
+        return Err(CliError::Usage(format!(
+            "the target '{}' was saved on '{}', and this is '{}': its picture has another scale and other axes",
+            args.name, kept.instrument, config.name
+        )));
+    }
     fs::create_dir_all(&args.out).map_err(|source| CliError::Write {
         path: args.out.clone(),
         source,
@@ -323,8 +329,10 @@ pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
             .store
             .calibrations()?
             .into_iter()
-            // Of another camera, or another mode of it, it is of no use.
-            .filter(|(_, kept)| kept.calibration.image_size_px == size)
+            // Of another instrument or camera, or another mode of it, it is of no use.
+            .filter(|(_, kept)| {
+                kept.calibration.image_size_px == size && kept.instrument == desk.config.name
+            })
             .map(|(id, kept)| (id, kept.calibration))
             .collect(),
     };

@@ -14,7 +14,7 @@ fn describe(folder: &Path, twin: &str) {
     let devices = "[devices]\nstage = \"twin\"\ncamera = \"twin\"\nnosepiece = \"twin\"\n";
     let change = match twin.contains("\"xy\"") {
         true => "[objective_change]\nanywhere = true\n",
-        false => "[objective_change]\nretract_z_um = -2000\n",
+        false => "[objective_change]\nretract_z_um = -2000\nmargin_um = 0\n",
     };
     let text = format!("{head}{twin}\n{devices}{change}");
     fs::write(folder.join("scopeservo.toml"), text).unwrap();

@@ -174,7 +174,7 @@ fn micro_managers_sample_is_found_again_across_two_objectives() {
     describe(
         here,
         &them.address,
-        &format!("{THEIR_NOSEPIECE}[objective_change]\nretract_z_um = -90\n"),
+        &format!("{THEIR_NOSEPIECE}[objective_change]\nretract_z_um = -90\nmargin_um = 0\n"),
     );
     assert_eq!(ok(here, &["doctor", "--json"])["ok"], true);
     let made = ok(here, &["calibrate", "--no-focus", "--json"]);
@@ -315,7 +315,7 @@ fn camera_stage_mapping_measures_the_twin_as_we_do() {
     describe(
         here,
         &twin.address,
-        &format!("{THEIR_NOSEPIECE}[objective_change]\nretract_z_um = -2000\n"),
+        &format!("{THEIR_NOSEPIECE}[objective_change]\nretract_z_um = -2000\nmargin_um = 0\n"),
     );
     let ours = ok(here, &["calibrate", "--objective", "10x", "--json"]);
     let ours = &ours["calibrations"][0]["calibration"]["full"];

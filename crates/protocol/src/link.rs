@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// How long a driver that was told to end may take for it before it is killed.
-const GRACE: Duration = Duration::from_millis(500);
+const GRACE: Duration = Duration::from_secs(5);
 
 /// A reply that came.
 pub(crate) struct Reply {
@@ -60,6 +60,8 @@ struct Shared {
     out: Mutex<Option<Box<dyn Write + Send>>>,
     end: Mutex<Option<End>>,
     next: AtomicU64,
+    /// Waits for the driver's end, and ends it when that does not come.
+    reaper: Mutex<Option<std::thread::JoinHandle<()>>>,
 }
 
 /// A connection to a driver. Cheap to clone; dropping the last one says goodbye.
@@ -75,6 +77,11 @@ struct Goodbye(Arc<Shared>);
 impl Drop for Goodbye {
     fn drop(&mut self) {
         self.0.close("it was closed");
+        // Our own end must not come before: a driver that hangs would be left with the device.
+        let reaper = lock(&self.0.reaper).take();
+        if let Some(reaper) = reaper {
+            let _ = reaper.join();
+        }
     }
 }
 
@@ -118,6 +125,7 @@ impl Link {
             out: Mutex::new(Some(to)),
             end: Mutex::new(Some(end)),
             next: AtomicU64::new(1),
+            reaper: Mutex::new(None),
         });
         let reading = shared.clone();
         std::thread::spawn(move || {
@@ -275,14 +283,17 @@ impl Shared {
             }
         }
         match lock(&self.end).take() {
-            Some(End::Child(mut child)) => drop(std::thread::spawn(move || {
-                let start = Instant::now();
-                while matches!(child.try_wait(), Ok(None)) && start.elapsed() < GRACE {
-                    std::thread::sleep(Duration::from_millis(10));
-                }
-                let _ = child.kill();
-                let _ = child.wait();
-            })),
+            Some(End::Child(mut child)) => {
+                let reaper = std::thread::spawn(move || {
+                    let start = Instant::now();
+                    while matches!(child.try_wait(), Ok(None)) && start.elapsed() < GRACE {
+                        std::thread::sleep(Duration::from_millis(10));
+                    }
+                    let _ = child.kill();
+                    let _ = child.wait();
+                });
+                *lock(&self.reaper) = Some(reaper);
+            }
             Some(End::Tcp(stream)) => drop(stream.shutdown(Shutdown::Both)),
             None => {}
         }

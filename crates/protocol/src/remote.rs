@@ -212,7 +212,16 @@ impl RemoteCamera {
 
     fn ask_exposure(&self, exposure_ms: Option<f64>) -> Result<Duration, ScopeError> {
         let reply: ExposureReply = self.remote.ask_for(Call::Exposure { exposure_ms })?;
-        self.duration(reply.exposure_ms, "the exposure")
+        let exposure = self.duration(reply.exposure_ms, "the exposure")?;
+        // Waiting for a frame leans on it: what it said it cannot do is nonsense.
+        if exposure > self.info.max_exposure + self.info.max_exposure / 100 + CLOCK_SLACK {
+            let what = format!(
+                "an exposure of {} ms, beyond its longest",
+                reply.exposure_ms
+            );
+            return Err(self.remote.nonsense(&what));
+        }
+        Ok(exposure)
     }
 }
 

@@ -209,7 +209,9 @@ fn converse<W: Write + Send>(
     admitted: &dyn Fn() -> std::io::Result<()>,
 ) -> Result<(), WireError> {
     let out = Out(Mutex::new(output));
-    let ended = std::thread::scope(|scope| -> Result<(), WireError> {
+    std::thread::scope(|scope| -> Result<(), WireError> {
+        // Whatever ends the conversation: before a frame that is still being exposed is waited for.
+        let _stop = StopAtEnd(offer);
         let mut known = secret.is_none();
         let mut challenge: Option<String> = None;
         let exposing = Arc::new(AtomicBool::new(false));
@@ -272,10 +274,16 @@ fn converse<W: Write + Send>(
             }
         }
         Ok(())
-    });
-    // Nobody is left to say stop.
-    let _ = offer.stop();
-    ended
+    })
+}
+
+/// Stops everything when it goes: nobody is left to say it.
+struct StopAtEnd<'a>(&'a Offer);
+
+impl Drop for StopAtEnd<'_> {
+    fn drop(&mut self) {
+        let _ = self.0.stop();
+    }
 }
 
 fn request(object: Object) -> Result<Call, No> {

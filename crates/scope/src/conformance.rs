@@ -233,8 +233,15 @@ pub fn check_stage(scope: &Instrument) -> Vec<Check> {
     ]
 }
 
-/// Camera checks: frame shape, time stamps, exposure. Nothing moves.
+/// Camera checks: those of [`check_frames`], and that the exposure is honoured. Nothing moves.
 pub fn check_camera(scope: &Instrument) -> Vec<Check> {
+    let mut checks = check_frames(scope);
+    checks.push(check_exposure(scope));
+    checks
+}
+
+/// Frame shape and time stamps. Nothing moves and nothing is set.
+pub fn check_frames(scope: &Instrument) -> Vec<Check> {
     let camera = scope.camera();
     vec![
         run("frames have the size they claim", || {
@@ -269,23 +276,32 @@ pub fn check_camera(scope: &Instrument) -> Vec<Check> {
             }
             Ok(())
         }),
-        run(
-            "exposure is honoured, and refused outside its range",
-            || {
-                let info = camera.info();
-                let before = camera.exposure().map_err(said)?;
-                let half = (before / 2).max(info.min_exposure);
+    ]
+}
+
+/// The exposure is set for a moment, and set back whatever comes of it.
+fn check_exposure(scope: &Instrument) -> Check {
+    let camera = scope.camera();
+    run(
+        "exposure is honoured, and refused outside its range",
+        || {
+            let info = camera.info();
+            let before = camera.exposure().map_err(said)?;
+            let half = (before / 2).max(info.min_exposure);
+            let tried = (|| -> Result<_, String> {
                 let set = camera.set_exposure(half).map_err(said)?;
                 let frame = scope.grab().map_err(said)?;
-                ensure(frame.exposure == set, || {
-                    format!("set {set:?}, the frame says {:?}", frame.exposure)
-                })?;
                 let refused = camera.set_exposure(info.max_exposure * 2);
-                camera.set_exposure(before).map_err(said)?;
-                ensure(refused.is_err(), || "twice the longest was accepted".into())
-            },
-        ),
-    ]
+                Ok((set, frame.exposure, refused))
+            })();
+            camera.set_exposure(before).map_err(said)?;
+            let (set, seen, refused) = tried?;
+            ensure(seen == set, || {
+                format!("set {set:?}, the frame says {seen:?}")
+            })?;
+            ensure(refused.is_err(), || "twice the longest was accepted".into())
+        },
+    )
 }
 
 /// Checks of stage and camera together: freshness after a move, grabbing during motion. Needs a specimen with structure.

@@ -2,8 +2,8 @@
 
 use crate::rules::narrowed;
 use crate::{
-    Axis, AxisRange, ChangeRule, Motion, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules,
-    ScopeError, Stage, StageInfo, StagePose, Workspace, Zone,
+    Axis, AxisRange, CancelToken, ChangeRule, ErrorKind, Motion, Nosepiece, Objective, ObjectiveId,
+    PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose, Workspace, Zone,
 };
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard};
@@ -24,6 +24,8 @@ pub struct MotionGate {
     ranges: Vec<AxisRange>,
     begin: Mutex<()>,
     stops: AtomicU64,
+    /// Once cancelled, nothing begins any more.
+    cancel: CancelToken,
 }
 
 impl MotionGate {
@@ -50,7 +52,13 @@ impl MotionGate {
             ranges,
             begin: Mutex::new(()),
             stops: AtomicU64::new(0),
+            cancel: CancelToken::new(),
         })
+    }
+
+    /// From now on nothing begins after `cancel` was cancelled.
+    pub(crate) fn obey(&mut self, cancel: CancelToken) {
+        self.cancel = cancel;
     }
 
     /// What the stage is.
@@ -116,7 +124,7 @@ impl MotionGate {
             true => self.stage.position()?,
             false => StagePose::default(),
         };
-        self.check_place(&here, to)
+        self.check_place(&self.in_beam()?, &here, to)
     }
 
     /// Starts a move if the rules allow it.
@@ -129,6 +137,7 @@ impl MotionGate {
         self.check_numbers(to)?;
         let _begin = self.begin();
         let stops = self.stops.load(Ordering::SeqCst);
+        self.check_cancel()?;
         if self.nosepiece.poll()? == Motion::Moving {
             return Err(ScopeError::Busy {
                 device: "nosepiece",
@@ -137,14 +146,16 @@ impl MotionGate {
         if self.stage.poll()? == Motion::Moving {
             return Err(ScopeError::Busy { device: "stage" });
         }
+        let here = match self.needs_place() {
+            true => self.stage.position()?,
+            false => StagePose::default(),
+        };
+        let in_beam = self.in_beam()?;
+        self.check_place(&in_beam, &here, to)?;
         if self.needs_place() {
-            let here = self.stage.position()?;
-            self.check_place(&here, to)?;
-            self.check_way(&here, to)?;
-        } else {
-            self.check_place(&StagePose::default(), to)?;
+            self.check_way(&in_beam, &here, to)?;
         }
-        self.stage.start_move(to)?;
+        self.begun(self.stage.start_move(to))?;
         self.stopped_meanwhile(stops)
     }
 
@@ -157,6 +168,7 @@ impl MotionGate {
         self.objective(to)?;
         let _begin = self.begin();
         let stops = self.stops.load(Ordering::SeqCst);
+        self.check_cancel()?;
         if self.stage.poll()? == Motion::Moving {
             return Err(ScopeError::Busy { device: "stage" });
         }
@@ -171,14 +183,19 @@ impl MotionGate {
                 .position()?
                 .si(Axis::Z)
                 .ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
-            if !at_most(self.positive_z().nearer_by(here, z), SAME_HEIGHT_M) {
+            if !at_most(self.positive_z().nearer_by(here, z), self.same_height_m()) {
                 return Err(ScopeError::NotRetracted {
                     at_um: here * 1e6,
                     needed_um: z * 1e6,
                 });
             }
         }
-        self.nosepiece.start_change(to)?;
+        if self.narrows() {
+            // Where the stage stands the objective that comes must be allowed, too.
+            let here = self.stage.position()?;
+            self.check_place(std::slice::from_ref(to), &here, &here)?;
+        }
+        self.begun(self.nosepiece.start_change(to))?;
         self.stopped_meanwhile(stops)
     }
 
@@ -209,9 +226,36 @@ impl MotionGate {
         self.begin.lock().unwrap_or_else(|e| e.into_inner())
     }
 
+    fn check_cancel(&self) -> Result<(), ScopeError> {
+        match self.cancel.is_cancelled() {
+            true => Err(ScopeError::Interrupted {
+                at: self.stage.position().ok(),
+            }),
+            false => Ok(()),
+        }
+    }
+
+    /// A device that failed to begin may have begun in part: what moves is stopped. A refusal moved nothing.
+    fn begun(&self, answer: Result<(), ScopeError>) -> Result<(), ScopeError> {
+        if answer
+            .as_ref()
+            .is_err_and(|e| e.kind() != ErrorKind::Refused)
+        {
+            // Its own fault is the news.
+            let _ = self.stop();
+        }
+        answer
+    }
+
+    /// Two heights nearer to each other than this are the same.
+    fn same_height_m(&self) -> f64 {
+        let scatter = self.info().axis(Axis::Z).map_or(0.0, |z| z.repeatability);
+        SAME_HEIGHT_M.max(4.0 * scatter)
+    }
+
     /// A stop that came between the check and the beginning of a move may have found nothing to stop.
     fn stopped_meanwhile(&self, stops: u64) -> Result<(), ScopeError> {
-        if self.stops.load(Ordering::SeqCst) == stops {
+        if self.stops.load(Ordering::SeqCst) == stops && !self.cancel.is_cancelled() {
             return Ok(());
         }
         self.stop()?;
@@ -222,9 +266,14 @@ impl MotionGate {
 
     /// Whether a rule looks at more than the axes that are asked to move.
     fn needs_place(&self) -> bool {
-        self.rules.workspace != Workspace::Box
-            || !self.rules.zones.is_empty()
+        self.narrows()
+            || self.rules.workspace != Workspace::Box
             || !self.rules.largest_steps.is_empty()
+    }
+
+    /// Whether a rule depends on the objective.
+    fn narrows(&self) -> bool {
+        !self.rules.objective_limits.is_empty() || !self.rules.zones.is_empty()
     }
 
     fn check_numbers(&self, to: &StagePose) -> Result<(), ScopeError> {
@@ -242,19 +291,37 @@ impl MotionGate {
 
     /// Objectives that may be in the beam: all of them when nobody knows.
     fn in_beam(&self) -> Result<Vec<ObjectiveId>, ScopeError> {
+        if !self.narrows() {
+            // Nobody asks.
+            return Ok(Vec::new());
+        }
         Ok(match self.nosepiece.current()? {
             Some(id) => vec![id],
             None => self.objectives().iter().map(|o| o.id.clone()).collect(),
         })
     }
 
-    fn check_place(&self, here: &StagePose, to: &StagePose) -> Result<(), ScopeError> {
+    fn check_place(
+        &self,
+        in_beam: &[ObjectiveId],
+        here: &StagePose,
+        to: &StagePose,
+    ) -> Result<(), ScopeError> {
         within(&self.ranges, to)?;
-        let narrows = !self.rules.objective_limits.is_empty() || !self.rules.zones.is_empty();
-        let in_beam = if narrows { self.in_beam()? } else { Vec::new() };
-        for id in &in_beam {
+        // Axes that are not asked to move stand where they are; a retreat is allowed from anywhere.
+        let whole =
+            match self.retreats(here, to) {
+                true => *to,
+                false => Axis::ALL.into_iter().fold(*to, |pose, axis| {
+                    match to.si(axis).or(here.si(axis)) {
+                        Some(at) => pose.with_si(axis, at),
+                        None => pose,
+                    }
+                }),
+            };
+        for id in in_beam {
             if let Some(limits) = self.rules.objective_limits.get(id) {
-                within(&narrowed(&self.ranges, limits, self.info())?, to)?;
+                within(&narrowed(&self.ranges, limits, self.info())?, &whole)?;
             }
         }
         if self.rules.workspace == Workspace::Ellipsoid {
@@ -275,14 +342,13 @@ impl MotionGate {
                 return Err(ScopeError::OutsideWorkspace { share: load });
             }
         }
-        let Some(z) = to.si(Axis::Z).or(here.si(Axis::Z)) else {
-            return Ok(());
-        };
+        // A height that nobody knows is not known to be clear.
+        let z = to.si(Axis::Z).or(here.si(Axis::Z)).unwrap_or(f64::NAN);
         let at = |axis| to.si(axis).or(here.si(axis));
-        for zone in self.zones_for(&in_beam) {
+        for zone in self.zones_for(in_beam) {
             let over = reaches(zone.x, [at(Axis::X), at(Axis::X)])
                 && reaches(zone.y, [at(Axis::Y), at(Axis::Y)]);
-            if over {
+            if over && !self.retreats(here, to) {
                 self.clear(zone, z)?;
             }
         }
@@ -290,14 +356,14 @@ impl MotionGate {
     }
 
     /// The axes may go one after the other, in any order: the whole box between start and goal counts.
-    fn check_way(&self, here: &StagePose, to: &StagePose) -> Result<(), ScopeError> {
-        let goes = |axis: Axis| to.si(axis).is_some_and(|goal| Some(goal) != here.si(axis));
+    fn check_way(
+        &self,
+        in_beam: &[ObjectiveId],
+        here: &StagePose,
+        to: &StagePose,
+    ) -> Result<(), ScopeError> {
         let z = |pose: &StagePose| pose.si(Axis::Z);
-        let retreat = !goes(Axis::X)
-            && !goes(Axis::Y)
-            && z(here)
-                .zip(z(to))
-                .is_some_and(|(from, goal)| self.positive_z().nearer_by(goal, from) <= 0.0);
+        let retreat = self.retreats(here, to);
         for largest in &self.rules.largest_steps {
             let axis = largest.axis;
             let Some(goal) = to.si(axis) else { continue };
@@ -317,20 +383,29 @@ impl MotionGate {
             // Away from the specimen is the way out of everything.
             return Ok(());
         }
-        let (Some(from), Some(goal)) = (z(here), z(to).or(z(here))) else {
-            return Ok(());
-        };
-        let nearest = match self.positive_z().nearer_by(from, goal) > 0.0 {
-            true => from,
-            false => goal,
+        let from = z(here).unwrap_or(f64::NAN);
+        let goal = z(to).unwrap_or(from);
+        // Neither is known to be the nearer one when one is unknown: then it is the unknown one.
+        let nearest = match self.positive_z().nearer_by(from, goal) <= 0.0 {
+            true => goal,
+            false => from,
         };
         let both = |axis| [here.si(axis), to.si(axis).or(here.si(axis))];
-        for zone in self.zones_for(&self.in_beam()?) {
+        for zone in self.zones_for(in_beam) {
             if reaches(zone.x, both(Axis::X)) && reaches(zone.y, both(Axis::Y)) {
                 self.clear(zone, nearest)?;
             }
         }
         Ok(())
+    }
+
+    /// Whether a move goes away from the specimen and nowhere else: the way out of everything.
+    fn retreats(&self, here: &StagePose, to: &StagePose) -> bool {
+        let rests = |axis: Axis| to.si(axis).is_none_or(|goal| Some(goal) == here.si(axis));
+        let others = Axis::ALL.into_iter().filter(|a| *a != Axis::Z);
+        let heights = here.si(Axis::Z).zip(to.si(Axis::Z));
+        others.into_iter().all(rests)
+            && heights.is_some_and(|(from, goal)| self.positive_z().nearer_by(goal, from) < 0.0)
     }
 
     fn zones_for<'a>(&'a self, in_beam: &'a [ObjectiveId]) -> impl Iterator<Item = &'a Zone> {

@@ -14,6 +14,8 @@ use std::time::Duration;
 const POLL: Duration = Duration::from_millis(5);
 /// No move of these instruments takes longer.
 const MOVE_TIMEOUT: Duration = Duration::from_secs(120);
+/// Nor an objective change, also by somebody who has to come from next door.
+const CHANGE_TIMEOUT: Duration = Duration::from_secs(1800);
 
 /// A wish to stop, shared between threads: Ctrl-C, a button, a watchdog.
 #[derive(Debug, Clone, Default)]
@@ -61,11 +63,12 @@ pub struct Instrument {
 impl Instrument {
     /// Puts the devices together.
     pub fn new(
-        gate: MotionGate,
+        mut gate: MotionGate,
         camera: Box<dyn Camera>,
         clock: Arc<dyn Clock>,
         cancel: CancelToken,
     ) -> Self {
+        gate.obey(cancel.clone());
         Self {
             gate,
             camera,
@@ -134,7 +137,7 @@ impl Instrument {
         self.check_cancel()?;
         self.gate.start_move(to)?;
         self.moves.fetch_add(1, Ordering::SeqCst);
-        let settled = self.wait("stage", || self.gate.poll())?;
+        let settled = self.wait("stage", MOVE_TIMEOUT, || self.gate.poll())?;
         let at = self.gate.position();
         match settled {
             Motion::Settled => at,
@@ -183,7 +186,19 @@ impl Instrument {
                 Some((old, new)) => here + (new.m() - old.m()),
                 None => side.away(here, margin),
             };
-            if side.nearer_by(expected, retracted) > 0.0 {
+            // In steps that are allowed.
+            let longest = self.gate.rules().largest_steps.iter();
+            let longest = longest
+                .filter(|l| l.axis == Axis::Z)
+                .map(|l| l.step)
+                .fold(f64::INFINITY, f64::min);
+            let mut at = retracted;
+            while side.nearer_by(expected, at) > longest {
+                // A little less, so that rounding is no reason to refuse.
+                at = side.away(at, -0.999 * longest);
+                self.move_to(&to(at))?;
+            }
+            if side.nearer_by(expected, at) > 0.0 {
                 self.move_to(&to(expected))?;
             }
         }
@@ -193,7 +208,7 @@ impl Instrument {
     fn turn(&self, id: &ObjectiveId) -> Result<(), ScopeError> {
         self.gate.start_change(id)?;
         self.objective_changes.fetch_add(1, Ordering::SeqCst);
-        let settled = self.wait("nosepiece", || self.gate.poll_nosepiece())?;
+        let settled = self.wait("nosepiece", CHANGE_TIMEOUT, || self.gate.poll_nosepiece())?;
         let now = self.gate.current_objective()?;
         if settled != Motion::Settled || now.as_ref() != Some(id) {
             return Err(ScopeError::Device {
@@ -232,6 +247,7 @@ impl Instrument {
     fn wait(
         &self,
         device: &'static str,
+        limit: Duration,
         poll: impl Fn() -> Result<Motion, ScopeError>,
     ) -> Result<Motion, ScopeError> {
         let start = self.clock.now();
@@ -253,11 +269,11 @@ impl Instrument {
                     return Err(fault);
                 }
             }
-            if self.clock.now().since(start) > MOVE_TIMEOUT {
+            if self.clock.now().since(start) > limit {
                 self.gate.stop()?;
                 return Err(ScopeError::Timeout {
                     device,
-                    seconds: MOVE_TIMEOUT.as_secs_f64(),
+                    seconds: limit.as_secs_f64(),
                 });
             }
             self.clock.sleep(POLL);

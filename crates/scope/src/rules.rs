@@ -1,6 +1,6 @@
 //! What a motion gate is told to allow. SI units (m, rad), ends included.
 
-use crate::{Axis, ObjectiveId, PositiveZ, ScopeError, StageInfo};
+use crate::{Axis, Objective, ObjectiveId, PositiveZ, ScopeError, StageInfo};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -139,7 +139,17 @@ impl Rules {
                     "limits are set for {id}, which is no objective here"
                 ));
             }
-            narrowed(&ranges, limits, stage)?;
+            let own = narrowed(&ranges, limits, stage)?;
+            if let ChangeRule::Retracted { z, .. } = self.change
+                && own
+                    .iter()
+                    .any(|r| r.axis == Axis::Z && !(r.min..=r.max).contains(&z))
+            {
+                return bad(format!(
+                    "the limits of {id} leave out the height at which objectives change, z = {:.1} um",
+                    z * 1e6
+                ));
+            }
         }
         for largest in &self.largest_steps {
             axis(largest.axis)?;
@@ -185,6 +195,15 @@ impl Rules {
             }
         }
         Ok(ranges)
+    }
+
+    /// Whether these rules make sense for a stage and its objectives.
+    ///
+    /// # Errors
+    /// [`ScopeError::BadSetting`] and [`ScopeError::NoSuchAxis`].
+    pub fn check(&self, stage: &StageInfo, objectives: &[Objective]) -> Result<(), ScopeError> {
+        let ids: Vec<ObjectiveId> = objectives.iter().map(|o| o.id.clone()).collect();
+        self.ranges(stage, &ids).map(drop)
     }
 }
 

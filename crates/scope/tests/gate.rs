@@ -3,9 +3,10 @@
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 use scopeservo_scope::{
-    Axis, AxisInfo, AxisRange, ChangeRule, Kinematics, LargestStep, Limits, Motion, MotionGate,
-    Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose,
-    Workspace, Zone,
+    Axis, AxisInfo, AxisRange, Camera, CameraInfo, CancelToken, ChangeRule, Clock, Frame,
+    Instrument, Kinematics, LargestStep, Length, Limits, Motion, MotionGate, Nosepiece, Objective,
+    ObjectiveId, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose, Timestamp,
+    VirtualClock, Workspace, Zone,
 };
 use std::collections::BTreeMap;
 use std::sync::mpsc;
@@ -17,6 +18,8 @@ const TRAVEL: f64 = 1e-2;
 const LIMIT: f64 = 8e-3;
 /// Of the strongest objective, along z.
 const NARROW: f64 = 2e-3;
+/// Of the strongest objective, along x.
+const NARROW_X: f64 = 3e-3;
 const RETRACTED: f64 = -5e-3;
 const STEP: f64 = 6e-3;
 const CLAMP: [f64; 2] = [4e-3, 6e-3];
@@ -42,6 +45,7 @@ struct World {
     fault: Option<Fault>,
     broken: Vec<String>,
     begun: u32,
+    stops: u32,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,6 +68,7 @@ impl World {
             fault: None,
             broken: Vec::new(),
             begun: 0,
+            stops: 0,
         }
     }
 
@@ -77,6 +82,10 @@ impl World {
         let in_clamp = |v: f64| (CLAMP[0]..=CLAMP[1]).contains(&v);
         if in_clamp(x) && in_clamp(y) && z > CLAMP_Z + 1e-12 {
             self.broken.push(format!("in the clamp at {:?}", self.at));
+        }
+        if self.objective == Some(1) && (z > NARROW + 1e-12 || x > NARROW_X + 1e-12) {
+            self.broken
+                .push(format!("40x outside its own limits at {:?}", self.at));
         }
         if self.turning.is_some() && z > RETRACTED + SLACK {
             self.broken.push(format!("turns at z = {z}"));
@@ -187,9 +196,6 @@ impl Stage for Devices {
                     .push(format!("a step from {from:?} to {goal:?}"));
             }
         }
-        if world.objective == Some(1) && to.si(Axis::Z).is_some_and(|z| z > NARROW) {
-            world.broken.push("40x beyond its own limit".into());
-        }
         world.way = Some(Way {
             from,
             to: goal,
@@ -212,6 +218,7 @@ impl Stage for Devices {
     fn stop(&self) -> Result<(), ScopeError> {
         let mut world = self.world();
         world.stopped |= world.way.take().is_some();
+        world.stops += 1;
         Ok(())
     }
 }
@@ -276,7 +283,10 @@ fn rules() -> Rules {
         objective_limits: BTreeMap::from([(
             id("40x"),
             Limits {
-                ranges: vec![range(Axis::Z, -LIMIT, NARROW)],
+                ranges: vec![
+                    range(Axis::Z, -LIMIT, NARROW),
+                    range(Axis::X, -LIMIT, NARROW_X),
+                ],
             },
         )]),
         largest_steps: AXES.map(|axis| LargestStep { axis, step: STEP }).into(),
@@ -397,6 +407,7 @@ fn the_recorder_would_notice() {
     stage.start_move(&pose([5e-3, 5e-3, 0.0])).unwrap();
     settle();
     stage.start_move(&pose([0.0, 0.0, 5e-3])).unwrap();
+    settle();
     let broken = devices.world().broken.join("; ");
     for rule in [
         "x at",
@@ -404,7 +415,7 @@ fn the_recorder_would_notice() {
         "moves while it turns",
         "turns at",
         "a step",
-        "own limit",
+        "own limits",
     ] {
         assert!(broken.contains(rule), "{rule}: {broken}");
     }
@@ -489,14 +500,21 @@ fn each_refusal_says_which_rule_and_what_to_do() {
     let low = gate.start_change(&id("40x")).unwrap_err();
     assert!(low.to_string().contains("Retract first"), "{low}");
     go([7e-3, 5e-3, RETRACTED]);
+    // The objective that comes may not be where this one may.
+    let there = gate.start_change(&id("40x")).unwrap_err();
+    assert!(
+        matches!(there, ScopeError::OutsideLimits { axis: Axis::X, .. }),
+        "{there}"
+    );
+    go([2e-3, 5e-3, RETRACTED]);
     let unknown = gate.start_change(&id("100x")).unwrap_err();
     assert!(unknown.to_string().contains("10x, 40x"), "{unknown}");
     gate.start_change(&id("40x")).unwrap();
     let device = "nosepiece";
-    assert_eq!(said([7e-3, 5e-3, RETRACTED]), ScopeError::Busy { device });
+    assert_eq!(said([2e-3, 5e-3, RETRACTED]), ScopeError::Busy { device });
     settle();
-    go([7e-3, 5e-3, 1e-3]);
-    let narrow = said([7e-3, 5e-3, 3e-3]);
+    go([2e-3, 5e-3, 0.5e-3]);
+    let narrow = said([2e-3, 5e-3, 3e-3]);
     assert!(
         matches!(narrow, ScopeError::OutsideLimits { axis: Axis::Z, .. }),
         "{narrow}"
@@ -504,12 +522,114 @@ fn each_refusal_says_which_rule_and_what_to_do() {
     // A retreat may be longer than a step, and nothing else.
     gate.start_move(&z(-LIMIT)).unwrap();
     let device = "stage";
-    assert_eq!(said([7e-3, 5e-3, 0.0]), ScopeError::Busy { device });
+    assert_eq!(said([2e-3, 5e-3, 0.0]), ScopeError::Busy { device });
     assert!(
         devices.world().broken.is_empty(),
         "{:?}",
         devices.world().broken
     );
+}
+
+#[test]
+fn what_fails_to_begin_is_stopped_and_what_is_refused_is_left_alone() {
+    let devices = Devices::new();
+    let gate = devices.gate(rules());
+    gate.start_move(&pose([9e-3, 0.0, 0.0])).unwrap_err();
+    assert_eq!(devices.world().stops, 0);
+    devices.world().fault = Some(Fault::Start);
+    let fault = gate.start_move(&z(-6e-3)).unwrap_err();
+    assert!(matches!(fault, ScopeError::Device { .. }), "{fault}");
+    assert_eq!(devices.world().stops, 1);
+}
+
+#[test]
+fn nothing_begins_after_a_cancel() {
+    let devices = Devices::new();
+    let cancel = CancelToken::new();
+    let clock = Arc::new(VirtualClock::new());
+    let scope = Instrument::new(
+        devices.gate(rules()),
+        Box::new(NoCamera),
+        clock,
+        cancel.clone(),
+    );
+    let gate = scope.gate();
+    gate.start_move(&z(-6e-3)).unwrap();
+    (0..8).for_each(|_| devices.world().tick());
+    let begun = devices.world().begun;
+    cancel.cancel();
+    for answer in [gate.start_move(&z(-7e-3)), gate.start_change(&id("40x"))] {
+        assert!(
+            matches!(answer, Err(ScopeError::Interrupted { .. })),
+            "{answer:?}"
+        );
+    }
+    assert_eq!(devices.world().begun, begun);
+}
+
+/// These tests look at nothing.
+struct NoCamera;
+
+impl Camera for NoCamera {
+    fn info(&self) -> &CameraInfo {
+        unreachable!("nobody looks")
+    }
+    fn exposure(&self) -> Result<Duration, ScopeError> {
+        Err(ScopeError::Busy { device: "camera" })
+    }
+    fn set_exposure(&self, _: Duration) -> Result<Duration, ScopeError> {
+        Err(ScopeError::Busy { device: "camera" })
+    }
+    fn grab(&self) -> Result<Frame, ScopeError> {
+        Err(ScopeError::Busy { device: "camera" })
+    }
+}
+
+#[test]
+fn after_a_change_it_comes_back_in_allowed_steps_and_short_of_an_unknown_focus() {
+    let devices = Devices::new();
+    let mut rules = rules();
+    rules.change = ChangeRule::Retracted {
+        z: -7e-3,
+        margin: 1e-3,
+    };
+    let clock = Arc::new(Ticking {
+        clock: VirtualClock::new(),
+        devices: devices.clone(),
+    });
+    let gate = devices.gate(rules);
+    let scope = Instrument::new(gate, Box::new(NoCamera), clock, CancelToken::new());
+    scope.move_to(&z(1e-3)).unwrap();
+    let height = || scope.gate().position().unwrap().si(Axis::Z).unwrap();
+    // 8 mm back where 6 are allowed at a time, and a millimetre short: 40x was never in focus.
+    scope.select_objective(&id("40x")).unwrap();
+    assert!(height().abs() < 1e-9, "{}", height());
+    // Where both were in focus the difference counts.
+    scope.focus_found(&id("10x"), Length::from_um(200.0));
+    scope.focus_found(&id("40x"), Length::from_um(-300.0));
+    scope.select_objective(&id("10x")).unwrap();
+    assert!((height() - 0.5e-3).abs() < 1e-9, "{}", height());
+    assert!(
+        devices.world().broken.is_empty(),
+        "{:?}",
+        devices.world().broken
+    );
+}
+
+/// A clock that lets the world go on while somebody sleeps.
+struct Ticking {
+    clock: VirtualClock,
+    devices: Devices,
+}
+
+impl Clock for Ticking {
+    fn now(&self) -> Timestamp {
+        self.clock.now()
+    }
+    fn sleep(&self, duration: Duration) {
+        self.clock.sleep(duration);
+        self.devices.world().tick();
+    }
 }
 
 #[test]
@@ -533,7 +653,7 @@ fn an_ellipsoid_gives_each_axis_what_the_others_leave() {
 #[test]
 fn rules_that_make_no_sense_are_refused() {
     type Breakage = fn(&mut Rules);
-    let nonsense: [(&str, Breakage); 6] = [
+    let nonsense: [(&str, Breakage); 7] = [
         ("no room", |r| r.limits.ranges[0].min = 9e-3),
         ("finite", |r| r.limits.ranges[0].max = f64::NAN),
         ("no objective here", |r| {
@@ -541,7 +661,12 @@ fn rules_that_make_no_sense_are_refused() {
         }),
         ("largest step", |r| r.largest_steps[0].step = 0.0),
         ("zone 'the clamp'", |r| r.zones[0].x = [1.0, 0.0]),
+        ("leave out the height", |r| {
+            let limits = r.objective_limits.get_mut(&id("40x")).unwrap();
+            limits.ranges[0].min = -4e-3;
+        }),
         ("outside the limits of z", |r| {
+            r.objective_limits.clear();
             r.change = ChangeRule::Retracted {
                 z: -9e-3,
                 margin: 0.0,

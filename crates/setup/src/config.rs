@@ -355,6 +355,14 @@ impl Config {
             )),
         }?;
         if let Some(change) = &self.objective_change
+            && change.retract_z_um.is_some() != change.margin_um.is_some()
+        {
+            return Err(self.senseless(
+                "objective_change: margin_um belongs to retract_z_um: how far from the expected focus an objective stops whose focus \
+                 was never found, such as 50",
+            ));
+        }
+        if let Some(change) = &self.objective_change
             && (change.retract_z_um.is_some() == (change.anywhere == Some(true)))
         {
             return Err(self.senseless(
@@ -452,6 +460,11 @@ mod tests {
         );
         let both = wrong("retract_z_um", "anywhere = true\nretract_z_um");
         assert!(both.contains("exactly one of"), "{both}");
+        let margin = wrong("margin_um = 0", "");
+        assert!(
+            margin.contains("margin_um belongs to retract_z_um"),
+            "{margin}"
+        );
         let kinds = wrong(
             "[drivers.twin.twin]",
             "[drivers.twin]\ntcp = \"localhost:1\"\n[drivers.twin.twin]",

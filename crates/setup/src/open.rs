@@ -48,7 +48,9 @@ pub struct Opened {
 /// [`SetupError`]; [`ScopeError::NotHomed`] within it when homing is needed and was not agreed to.
 pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<Opened, SetupError> {
     let hurried = |d: &DriverConfig| d.twin.as_ref().is_some_and(|t| !t.real_time);
-    let clock: Arc<dyn Clock> = match config.drivers.values().all(hurried) {
+    // Somebody who turns a nosepiece does so in real time.
+    let by_hand = config.devices.nosepiece == "by-hand";
+    let clock: Arc<dyn Clock> = match config.drivers.values().all(hurried) && !by_hand {
         true => Arc::new(VirtualClock::new()),
         false => Arc::new(SystemClock::new()),
     };
@@ -85,11 +87,13 @@ pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<O
                 .ok_or_else(|| lacks(driver, "light"))?,
         ),
     };
+    // What is wrong with the rules is said before anything moves.
+    let rules = rules(config, stage.info(), nosepiece.objectives().len())?;
+    rules.check(stage.info(), nosepiece.objectives())?;
     if let Some(found) = all.get(devices.stage.as_str()) {
         found.home(&*stage, &*clock, consent, &cancel)?;
     }
     set(config, &*camera, light.as_ref())?;
-    let rules = rules(config, stage.info(), nosepiece.objectives().len())?;
     let gate = MotionGate::new(stage, nosepiece, rules)?;
     let drivers = all
         .iter()

@@ -48,7 +48,8 @@ pub(crate) fn rules(
         Some(change) => match change.retract_z_um {
             Some(z) => ChangeRule::Retracted {
                 z: um(z),
-                margin: um(change.margin_um.unwrap_or(0.0)),
+                // The check saw that it is there.
+                margin: um(change.margin_um.unwrap_or(f64::NAN)),
             },
             None => ChangeRule::Anywhere,
         },

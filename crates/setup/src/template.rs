@@ -59,10 +59,11 @@ nosepiece = "main"                # a driver, or "by-hand" (you are asked to tur
 # closest_z_um = -1500
 # objectives = ["40x"]            # all when left out
 
-# When the nosepiece may turn. Write down a height at which no objective can touch anything on its way.
-[objective_change]
-retract_z_um = -2000
-margin_um = 50                    # how far from the expected focus an objective stops whose focus was never found
+# When the nosepiece may turn, for more than one objective. Write down a height, far from the specimen, at which no objective can
+# touch anything on its way. Mind the sign: on the side to which z goes away from the specimen.
+# [objective_change]
+# retract_z_um = -2000
+# margin_um = 50                  # how far from the expected focus an objective stops whose focus was never found
 # or, when you are sure that nothing can touch:
 # anywhere = true
 
