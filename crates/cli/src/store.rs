@@ -3,14 +3,14 @@
 
 use crate::error::CliError;
 use crate::views::write_json;
-use scopeservo_scope::{Frame, Length, ObjectiveId, StagePose};
+use scopeservo_scope::{Channels, Frame, Length, ObjectiveId, Samples, StagePose, Timestamp};
 use scopeservo_servo::{Calibration, Target};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Version of the files.
 const SCHEMA: u32 = 1;
@@ -179,6 +179,22 @@ impl Store {
         Ok(kept)
     }
 
+    /// The picture of a saved target, for the report; a target is found again without it.
+    pub(crate) fn target_picture(&self, name: &str) -> Option<Frame> {
+        let path = self.target_file(name).ok()?.with_extension("png");
+        let picture = image::open(path).ok()?.to_rgb8();
+        Some(Frame {
+            width: picture.width() as usize,
+            height: picture.height() as usize,
+            channels: Channels::Rgb,
+            bit_depth: 8,
+            samples: Samples::U8(picture.into_raw()),
+            sequence: 0,
+            exposure_start: Timestamp::default(),
+            exposure: Duration::ZERO,
+        })
+    }
+
     /// The names of all targets.
     pub(crate) fn target_names(&self) -> Result<Vec<String>, CliError> {
         let files = entries(&self.targets())?.into_iter().filter(|p| is_json(p));
@@ -279,7 +295,6 @@ fn utc(at: SystemTime) -> String {
 mod tests {
     use super::*;
     use scopeservo_geometry::Mat2;
-    use std::time::Duration;
 
     #[test]
     fn times_are_those_of_the_calendar() {

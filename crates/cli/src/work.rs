@@ -338,6 +338,9 @@ pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
     };
     let mut run = Reposition::new(kept.target, options).with_calibrations(known);
     let mut watcher = Watcher::new(None);
+    if let Some(picture) = desk.store.target_picture(&args.name) {
+        watcher.frame(&picture, FrameRole::Target);
+    }
     let before = desk.scope.counters();
     let outcome = scopeservo_servo::run(&mut run, &desk.scope, &mut watcher);
     watcher.finish();

@@ -78,7 +78,7 @@ fn from_init_to_arrived() {
     assert_eq!(back["verdict"], "arrived", "{back}");
     assert!(back["estimated_error_um"].as_f64().unwrap() < 0.6, "{back}");
     let report = fs::read_to_string(here.join("scopeservo-run/report.html")).unwrap();
-    assert!(report.contains("Back to spot"));
+    assert!(report.contains("Back to spot") && report.contains("Saved view in red"));
     // With the stored calibrations it takes fewer moves than calibrating on the way.
     let anew = ok(
         here,
