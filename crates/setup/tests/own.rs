@@ -1,0 +1,123 @@
+//! Stages on our own drivers, from the file to a move, against the emulators.
+
+use scopeservo_drivers::emulator::gcs2::{EmulatedStage, Gcs2Emulator};
+use scopeservo_drivers::emulator::sangaboard::{EmulatedSanga, SangaEmulator};
+use scopeservo_scope::{Axis, CancelToken, ScopeError, StagePose};
+use scopeservo_setup::{Config, Consent, Opened, SetupError, open};
+use std::path::Path;
+use std::sync::Arc;
+
+const REST: &str = "
+[drivers.eye.twin]
+[devices]
+stage = \"own\"
+camera = \"eye\"
+nosepiece = \"none\"
+[[objective]]
+id = \"10x\"
+magnification = 100
+numerical_aperture = 0.25
+um_per_px = 2.2
+[limits]
+x_um = [-500, 500]
+";
+
+fn opened(own: &str, home: bool) -> Result<Opened, SetupError> {
+    let text = format!("name = \"bench\"\n{own}{REST}");
+    let config = Config::parse(&text, Path::new("scopeservo.toml"))?;
+    let consent = Consent {
+        home,
+        ask: Arc::new(|_| false),
+    };
+    open(&config, &consent, CancelToken::new())
+}
+
+fn gcs2(address: &str) -> String {
+    let axis = |axis: &str, name: &str| {
+        format!(
+            "[[drivers.own.gcs2.settings.linear]]\naxis = \"{axis}\"\nname = \"{name}\"\n\
+             repeatability_um = 0.1\narrival_tolerance_um = 1\n"
+        )
+    };
+    format!(
+        "[drivers.own.gcs2]\ntcp = \"{address}\"\n[drivers.own.gcs2.settings]\nkinematics = \"moves_microscope\"\n\
+         positive_z = \"closer\"\ncoupled = true\n{}{}{}",
+        axis("x", "X"),
+        axis("y", "Y"),
+        axis("z", "Z")
+    )
+}
+
+#[test]
+fn a_gcs2_stage_moves_within_the_files_limits() {
+    let emulator = Gcs2Emulator::serve(EmulatedStage::hexapod()).unwrap();
+    let scope = opened(&gcs2(&emulator.address()), false)
+        .unwrap()
+        .instrument;
+    let x = |um: f64| StagePose::default().with_si(Axis::X, um * 1e-6);
+    scope.move_to(&x(300.0)).unwrap();
+    assert!((emulator.truth()[0] - 0.3).abs() < 1e-4);
+    let refused = scope.move_to(&x(600.0)).unwrap_err();
+    assert!(
+        matches!(refused, ScopeError::OutsideLimits { .. }),
+        "{refused}"
+    );
+    assert!((emulator.truth()[0] - 0.3).abs() < 1e-4);
+}
+
+#[test]
+fn a_stage_that_needs_homing_is_homed_only_with_consent() {
+    let mut stage = EmulatedStage::hexapod();
+    stage.referenced = false;
+    let emulator = Gcs2Emulator::serve(stage).unwrap();
+    let refused = opened(&gcs2(&emulator.address()), false).err().unwrap();
+    assert!(refused.to_string().contains("--home"), "{refused}");
+    assert!(
+        !emulator
+            .heard()
+            .iter()
+            .any(|l| l.contains("FRF") && !l.contains('?'))
+    );
+    let scope = opened(&gcs2(&emulator.address()), true).unwrap().instrument;
+    assert!(
+        emulator
+            .heard()
+            .iter()
+            .any(|l| l.contains("FRF") && !l.contains('?'))
+    );
+    scope
+        .move_to(&StagePose::default().with_si(Axis::X, 1e-4))
+        .unwrap();
+}
+
+#[test]
+fn a_sangaboard_is_described_motor_by_motor() {
+    let emulator = SangaEmulator::serve(EmulatedSanga::new()).unwrap();
+    let motor = "{ um_per_step = 0.1, min_um = -5000, max_um = 5000, repeatability_um = 0.5 }";
+    let own = format!(
+        "[drivers.own.sangaboard]\ntcp = \"{}\"\n[drivers.own.sangaboard.settings]\nkinematics = \"specimen_xy_on_top\"\n\
+         positive_z = \"closer\"\nx = {motor}\ny = {motor}\n",
+        emulator.address()
+    );
+    let scope = opened(&own, false).unwrap().instrument;
+    scope
+        .move_to(&StagePose::default().with_si(Axis::X, 1e-4))
+        .unwrap();
+    assert_eq!(emulator.truth()[0], 1000);
+}
+
+#[test]
+fn a_device_that_is_not_there_is_said_so() {
+    let none = opened(&gcs2("127.0.0.1:1"), false).err().unwrap();
+    assert!(
+        none.to_string()
+            .contains("no device answers at 127.0.0.1:1"),
+        "{none}"
+    );
+    let both = gcs2("127.0.0.1:1").replace("tcp =", "serial = \"/dev/null\"\ntcp =");
+    let both = opened(&both, false).err().unwrap();
+    assert!(
+        both.to_string().contains("exactly one of tcp and serial"),
+        "{both}"
+    );
+}
