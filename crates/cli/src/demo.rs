@@ -30,12 +30,7 @@ pub(crate) fn run(args: &DemoArgs) -> Result<bool, CliError> {
 
 fn check(args: &DemoArgs) -> Result<(), CliError> {
     let usage = |text: &str| Err(CliError::Usage(text.into()));
-    if !(args.lambda > 0.0 && args.lambda <= 1.0) {
-        return usage("--lambda must be above 0 and at most 1; the paper uses 0.2");
-    }
-    if args.max_iterations == 0 {
-        return usage("--max-iterations must be at least 1");
-    }
+    check_servo(args.lambda, args.max_iterations)?;
     if args.start_deg.is_some_and(|d| !d.is_finite()) {
         return usage("--start-deg must be a number of degrees");
     }
@@ -49,6 +44,18 @@ fn check(args: &DemoArgs) -> Result<(), CliError> {
         return usage(
             "--um-per-px must be a number above 0, from 0.001 to 1000, like 0.5 for a slide scanned at 20x",
         );
+    }
+    Ok(())
+}
+
+/// The numbers of the control law.
+pub(crate) fn check_servo(lambda: f64, max_iterations: usize) -> Result<(), CliError> {
+    let usage = |text: &str| Err(CliError::Usage(text.into()));
+    if !(lambda > 0.0 && lambda <= 1.0) {
+        return usage("--lambda must be above 0 and at most 1; the paper uses 0.2");
+    }
+    if max_iterations == 0 {
+        return usage("--max-iterations must be at least 1");
     }
     Ok(())
 }
@@ -223,10 +230,7 @@ fn write_all(
         title: format!("Reposition on {}", json.specimen),
         specimen: bench.specimen.describe(),
         instrument: "simulated microscope (hexapod, 10x / 20x / 40x, 640x480 camera)".into(),
-        command: std::iter::once("scopeservo".to_string())
-            .chain(std::env::args().skip(1))
-            .collect::<Vec<_>>()
-            .join(" "),
+        command: output::command_line(),
         seed: Some(args.seed),
         version: env!("CARGO_PKG_VERSION").into(),
         virtual_time: true,
@@ -301,11 +305,7 @@ fn hidden_truth(
 }
 
 fn print_summary(json: &DemoJson, report: &Path, started: Instant) {
-    let verdict = match json.verdict {
-        Verdict::Arrived => "arrived",
-        Verdict::NotFound => "not found",
-        Verdict::Refused => "refused",
-    };
+    let verdict = output::word(json.verdict);
     say!("{verdict}: {}", json.message);
     say!(
         "  slide put back {:.0} um away and turned {:.2} deg, on {}",

@@ -7,6 +7,23 @@ use serde::Serialize;
 /// Version of the keys below.
 pub(crate) const SCHEMA: u32 = 1;
 
+/// A verdict as people read it.
+pub(crate) fn word(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Arrived => "arrived",
+        Verdict::NotFound => "not found",
+        Verdict::Refused => "refused",
+    }
+}
+
+/// The command that this run is.
+pub(crate) fn command_line() -> String {
+    std::iter::once("scopeservo".to_string())
+        .chain(std::env::args().skip(1))
+        .collect::<Vec<_>>()
+        .join(" ")
+}
+
 #[derive(Debug, Serialize)]
 pub(crate) struct DemoJson {
     pub(crate) schema: u32,

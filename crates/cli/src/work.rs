@@ -1,6 +1,7 @@
 //! `focus`, `calibrate`, `target` and `reposition` on the user's instrument.
 
 use crate::args::{CalibrateArgs, FocusArgs, RepositionArgs, TargetListArgs, TargetSaveArgs};
+use crate::demo::check_servo;
 use crate::desk::Desk;
 use crate::error::CliError;
 use crate::output::{self, SCHEMA, calibration as calibration_json};
@@ -288,16 +289,7 @@ pub(crate) fn list_targets(args: &TargetListArgs) -> Result<bool, CliError> {
 
 pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
     let started = Instant::now();
-    if !(args.lambda > 0.0 && args.lambda <= 1.0) {
-        return Err(CliError::Usage(
-            "--lambda must be above 0 and at most 1; the paper uses 0.2".into(),
-        ));
-    }
-    if args.max_iterations == 0 {
-        return Err(CliError::Usage(
-            "--max-iterations must be at least 1".into(),
-        ));
-    }
+    check_servo(args.lambda, args.max_iterations)?;
     // What can be wrong without the instrument is found before it is touched.
     let config = Config::read(&args.instrument.config)?;
     let kept = Store::new(config.resolve(&config.data_folder)).target(&args.name)?;
@@ -364,10 +356,7 @@ pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
     let context = report::Context {
         title: format!("Back to {}", args.name),
         instrument: desk.config.name.clone(),
-        command: std::iter::once("scopeservo".to_string())
-            .chain(std::env::args().skip(1))
-            .collect::<Vec<_>>()
-            .join(" "),
+        command: output::command_line(),
         version: env!("CARGO_PKG_VERSION").into(),
         wall_time_s: Some(started.elapsed().as_secs_f64()),
         convergence: Some(report::Convergence {
@@ -403,11 +392,7 @@ pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
 }
 
 fn show_outcome(outcome: &Outcome) {
-    let verdict = match outcome.verdict {
-        Verdict::Arrived => "arrived",
-        Verdict::NotFound => "not found",
-        Verdict::Refused => "refused",
-    };
+    let verdict = output::word(outcome.verdict);
     say!("{verdict}: {}", outcome.message);
     for m in output::magnifications(outcome) {
         match (m.iterations, m.inliers, m.error_um, m.error_deg) {

@@ -2,7 +2,7 @@
 //! one likes.
 
 use scopeservo_protocol::{Hello, Offer, serve, wire};
-use scopeservo_scope::{SystemClock, VirtualClock};
+use scopeservo_scope::{Clock, SystemClock, VirtualClock};
 use scopeservo_twin::specimen::Tissue;
 use scopeservo_twin::{Config, Twin};
 use std::sync::Arc;
@@ -59,9 +59,8 @@ fn damaged(random: &mut Random) -> Vec<u8> {
     bytes
 }
 
-#[test]
-fn damaged_requests_get_a_code_or_the_end() {
-    let clock = Arc::new(VirtualClock::new());
+/// The twin on offer.
+fn twin(clock: Arc<dyn Clock>) -> Offer {
     let twin = Twin::new(
         Config::realistic(),
         Arc::new(Tissue::new(1)),
@@ -69,13 +68,19 @@ fn damaged_requests_get_a_code_or_the_end() {
         clock.clone(),
     )
     .unwrap();
-    let offer = Offer {
+    Offer {
         name: "twin".into(),
         stage: Some(twin.stage()),
         camera: Some(twin.camera()),
         nosepiece: Some(twin.nosepiece()),
         clock,
-    };
+    }
+}
+
+#[test]
+fn damaged_requests_get_a_code_or_the_end() {
+    let clock = Arc::new(VirtualClock::new());
+    let offer = twin(clock);
     let mut random = Random(5);
     let (mut answered, mut refused) = (0u32, 0u32);
     for _ in 0..40_000 {
@@ -101,20 +106,7 @@ fn damaged_requests_get_a_code_or_the_end() {
 #[test]
 fn damaged_hellos_are_refused_or_make_sense() {
     let clock = Arc::new(SystemClock::new());
-    let twin = Twin::new(
-        Config::realistic(),
-        Arc::new(Tissue::new(1)),
-        1,
-        clock.clone(),
-    )
-    .unwrap();
-    let offer = Offer {
-        name: "twin".into(),
-        stage: Some(twin.stage()),
-        camera: Some(twin.camera()),
-        nosepiece: Some(twin.nosepiece()),
-        clock,
-    };
+    let offer = twin(clock);
     let mut said = Vec::new();
     serve(
         &offer,

@@ -242,17 +242,14 @@ pub fn register_matches(
     };
 
     // The verdict, on unique places: the best-fitting match of each neighbourhood stands for it.
-    let coherent = coherence(&fit.b_from_a);
-    let mut ranked: Vec<(f64, usize)> = keypoints(view, target, matches)
-        .zip(pairs)
-        .enumerate()
-        .map(|(i, ((v, t), pair))| match coherent(v, t) {
-            true => (residual(&fit.b_from_a, pair), i),
-            false => (f64::INFINITY, i),
-        })
-        .collect();
-    // A stable sort: of equals the first match stays the first.
-    ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let ranked = ranked(
+        &fit.b_from_a,
+        view,
+        target,
+        matches,
+        pairs,
+        0..matches.len(),
+    );
     let points: Vec<(Vec2, Vec2)> = ranked
         .iter()
         .map(|&(_, i)| (pairs[i].p_in_a, pairs[i].p_in_b))
@@ -349,8 +346,7 @@ struct Similar {
     residuals: Vec<(f64, usize)>,
 }
 
-/// The robust similarity through the matches that `agree`. Places that turn or scale otherwise are
-/// infinitely far off.
+/// The robust similarity through the matches that `agree`.
 fn similar(
     view: &Features,
     target: &Features,
@@ -361,19 +357,34 @@ fn similar(
 ) -> Option<Similar> {
     let chosen: Vec<Correspondence> = agree.iter().map(|&i| pairs[i]).collect();
     let fit = fit_similarity_robust(&chosen, ANISOTROPY)?;
-    let coherent = coherence(&fit.b_from_a);
-    let mut residuals: Vec<(f64, usize)> = places
-        .iter()
-        .map(|&(_, i)| {
+    let of = places.iter().map(|place| place.1);
+    let residuals = ranked(&fit.b_from_a, view, target, matches, pairs, of);
+    Some(Similar { fit, residuals })
+}
+
+/// How far each of the matches `of` lies from where it belongs, and which it is, in order. What turns or scales otherwise is infinitely
+/// far off.
+fn ranked(
+    transform: &Affine2,
+    view: &Features,
+    target: &Features,
+    matches: &[Match],
+    pairs: &[Correspondence],
+    of: impl Iterator<Item = usize>,
+) -> Vec<(f64, usize)> {
+    let coherent = coherence(transform);
+    let mut ranked: Vec<(f64, usize)> = of
+        .map(|i| {
             let Match { query, train, .. } = matches[i];
             match coherent(&view.keypoints[query], &target.keypoints[train]) {
-                true => (residual(&fit.b_from_a, &pairs[i]), i),
+                true => (residual(transform, &pairs[i]), i),
                 false => (f64::INFINITY, i),
             }
         })
         .collect();
-    residuals.sort_by(|a, b| a.0.total_cmp(&b.0));
-    Some(Similar { fit, residuals })
+    // A stable sort: of equals the first match stays the first.
+    ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
+    ranked
 }
 
 /// The keypoints of each match.

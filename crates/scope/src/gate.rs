@@ -309,24 +309,17 @@ impl MotionGate {
     ) -> Result<(), ScopeError> {
         within(&self.ranges, to)?;
         // Axes that are not asked to move stand where they are; a retreat is allowed from anywhere.
-        let whole =
-            match self.retreats(here, to) {
-                true => *to,
-                false => Axis::ALL.into_iter().fold(*to, |pose, axis| {
-                    match to.si(axis).or(here.si(axis)) {
-                        Some(at) => pose.with_si(axis, at),
-                        None => pose,
-                    }
-                }),
-            };
+        let whole = to.or(here);
+        let retreat = self.retreats(here, to);
+        let judged = if retreat { to } else { &whole };
         for id in in_beam {
             if let Some(limits) = self.rules.objective_limits.get(id) {
-                within(&narrowed(&self.ranges, limits, self.info())?, &whole)?;
+                within(&narrowed(&self.ranges, limits, self.info())?, judged)?;
             }
         }
         if self.rules.workspace == Workspace::Ellipsoid {
             let share = |axis: &crate::AxisInfo| {
-                let at = to.si(axis.axis).or(here.si(axis.axis));
+                let at = whole.si(axis.axis);
                 let (middle, half) = ((axis.max + axis.min) / 2.0, (axis.max - axis.min) / 2.0);
                 at.map(|at| ((at - middle) / half).powi(2))
             };
@@ -342,13 +335,14 @@ impl MotionGate {
                 return Err(ScopeError::OutsideWorkspace { share: load });
             }
         }
+        if retreat {
+            return Ok(());
+        }
         // A height that nobody knows is not known to be clear.
-        let z = to.si(Axis::Z).or(here.si(Axis::Z)).unwrap_or(f64::NAN);
-        let at = |axis| to.si(axis).or(here.si(axis));
+        let z = whole.si(Axis::Z).unwrap_or(f64::NAN);
+        let [x, y] = [Axis::X, Axis::Y].map(|axis| [whole.si(axis); 2]);
         for zone in self.zones_for(in_beam) {
-            let over = reaches(zone.x, [at(Axis::X), at(Axis::X)])
-                && reaches(zone.y, [at(Axis::Y), at(Axis::Y)]);
-            if over && !self.retreats(here, to) {
+            if reaches(zone.x, x) && reaches(zone.y, y) {
                 self.clear(zone, z)?;
             }
         }
@@ -362,7 +356,6 @@ impl MotionGate {
         here: &StagePose,
         to: &StagePose,
     ) -> Result<(), ScopeError> {
-        let z = |pose: &StagePose| pose.si(Axis::Z);
         let retreat = self.retreats(here, to);
         for largest in &self.rules.largest_steps {
             let axis = largest.axis;
@@ -383,14 +376,15 @@ impl MotionGate {
             // Away from the specimen is the way out of everything.
             return Ok(());
         }
-        let from = z(here).unwrap_or(f64::NAN);
-        let goal = z(to).unwrap_or(from);
+        let whole = to.or(here);
+        let from = here.si(Axis::Z).unwrap_or(f64::NAN);
+        let goal = to.si(Axis::Z).unwrap_or(from);
         // Neither is known to be the nearer one when one is unknown: then it is the unknown one.
         let nearest = match self.positive_z().nearer_by(from, goal) <= 0.0 {
             true => goal,
             false => from,
         };
-        let both = |axis| [here.si(axis), to.si(axis).or(here.si(axis))];
+        let both = |axis| [here.si(axis), whole.si(axis)];
         for zone in self.zones_for(in_beam) {
             if reaches(zone.x, both(Axis::X)) && reaches(zone.y, both(Axis::Y)) {
                 self.clear(zone, nearest)?;
@@ -402,9 +396,9 @@ impl MotionGate {
     /// Whether a move goes away from the specimen and nowhere else: the way out of everything.
     fn retreats(&self, here: &StagePose, to: &StagePose) -> bool {
         let rests = |axis: Axis| to.si(axis).is_none_or(|goal| Some(goal) == here.si(axis));
-        let others = Axis::ALL.into_iter().filter(|a| *a != Axis::Z);
+        let mut others = Axis::ALL.into_iter().filter(|a| *a != Axis::Z);
         let heights = here.si(Axis::Z).zip(to.si(Axis::Z));
-        others.into_iter().all(rests)
+        others.all(rests)
             && heights.is_some_and(|(from, goal)| self.positive_z().nearer_by(goal, from) < 0.0)
     }
 

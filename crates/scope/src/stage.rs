@@ -99,6 +99,19 @@ impl StagePose {
         }
     }
 
+    /// This pose, with the axes that it lacks taken from another one.
+    #[must_use]
+    pub fn or(&self, other: &StagePose) -> Self {
+        Self {
+            x: self.x.or(other.x),
+            y: self.y.or(other.y),
+            z: self.z.or(other.z),
+            rx: self.rx.or(other.rx),
+            ry: self.ry.or(other.ry),
+            rz: self.rz.or(other.rz),
+        }
+    }
+
     /// The same pose with one axis set, in SI units: metres or radians.
     #[must_use]
     pub fn with_si(mut self, axis: Axis, value: f64) -> Self {
