@@ -11,6 +11,7 @@
 //! - After a time-out, an interruption or an answer that cannot be read, nobody knows which reply belongs to which
 //!   question. The driver then sends the stop command, closes the link, and every later call says so.
 
+pub mod camera;
 pub mod emulator;
 pub mod gcode;
 pub mod gcs2;

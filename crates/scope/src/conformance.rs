@@ -112,6 +112,9 @@ fn trial(axis: Axis) -> f64 {
     }
 }
 
+/// No picture is on its way for longer.
+const LATEST: Duration = Duration::from_millis(1500);
+
 /// The longest move, of x or y: long enough to be stopped on the way.
 const LONG_M: f64 = 2e-3;
 
@@ -325,6 +328,29 @@ pub fn check_together(scope: &Instrument) -> Vec<Check> {
                 format!("pictures differ by {away:.4} after the move and by {still:.4} without it")
             })
         }),
+        run_and_return(
+            scope,
+            "a grab after a move shows where it ended, not the way",
+            || {
+                let axis = long_axis(scope.gate())?;
+                let (_, there) = towards_room(scope.gate(), axis, trial(axis))?;
+                let to = StagePose::default().with_si(axis, there);
+                scope.move_to(&to).map_err(said)?;
+                let moved = scope.grab().map_err(said)?;
+                // Whatever is on its way has come by then.
+                scope.clock().sleep(LATEST);
+                let later = scope.grab().map_err(said)?;
+                let again = scope.grab().map_err(said)?;
+                let (early, still) = (difference(&moved, &later), difference(&later, &again));
+                ensure(early <= 2.0 * still + 1e-3, || {
+                    format!(
+                        "the picture after a move differs by {early:.4} from one {} s later, where two in a row differ by {still:.4}: \
+                     pictures are older than the camera's driver takes them for, or the stage goes on after it said that it stands",
+                        LATEST.as_secs_f64()
+                    )
+                })
+            },
+        ),
         run_and_return(scope, "frames can be grabbed during motion", || {
             let axis = long_axis(scope.gate())?;
             let (_, there) = towards_room(scope.gate(), axis, LONG_M)?;

@@ -1,6 +1,7 @@
 //! The file. Every key has its unit in its name; unknown keys are errors.
 
 use crate::SetupError;
+use scopeservo_drivers::camera::{FolderSettings, MjpegSettings, SnapshotSettings, V4lSettings};
 use scopeservo_drivers::gcode::GcodeSettings;
 use scopeservo_drivers::gcs2::Gcs2Settings;
 use scopeservo_drivers::sangaboard::SangaSettings;
@@ -58,7 +59,7 @@ fn data_folder() -> PathBuf {
     "scopeservo-data".into()
 }
 
-/// How a driver is found: exactly one of `program`, `tcp`, `twin`, `gcs2`, `gcode` and `sangaboard`.
+/// How a driver is found: exactly one of the keys, but that a secret belongs to `tcp`.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DriverConfig {
@@ -76,6 +77,26 @@ pub struct DriverConfig {
     pub gcode: Option<OwnConfig<GcodeSettings>>,
     /// A stage on a Sangaboard.
     pub sangaboard: Option<OwnConfig<SangaSettings>>,
+    /// A camera on the web that sends one JPEG after another.
+    pub mjpeg: Option<WebConfig<MjpegSettings>>,
+    /// A camera on the web that gives a picture for each question.
+    pub snapshot: Option<WebConfig<SnapshotSettings>>,
+    /// A folder of pictures.
+    pub folder: Option<FolderSettings>,
+    /// A video device of this machine.
+    pub v4l: Option<V4lSettings>,
+}
+
+/// A camera on the web, and who may see its pictures.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WebConfig<T> {
+    /// Where it wants to know who asks.
+    pub user: Option<String>,
+    /// A file with the password.
+    pub password_file: Option<PathBuf>,
+    /// How the camera is set up.
+    pub settings: T,
 }
 
 /// One of our own drivers: where the device is, exactly one of `tcp` and `serial`, and how it is set up.
@@ -100,6 +121,12 @@ fn baud() -> u32 {
 impl<T> OwnConfig<T> {
     pub(crate) fn has_one_place(&self) -> bool {
         self.tcp.is_some() != self.serial.is_some()
+    }
+}
+
+impl<T> WebConfig<T> {
+    fn has_whole_login(&self) -> bool {
+        self.user.is_some() == self.password_file.is_some()
     }
 }
 
@@ -296,27 +323,41 @@ impl Config {
     fn check(&self) -> Result<(), SetupError> {
         for (name, driver) in &self.drivers {
             let kinds = [
-                driver.program.is_some(),
-                driver.tcp.is_some(),
-                driver.twin.is_some(),
-                driver.gcs2.is_some(),
-                driver.gcode.is_some(),
-                driver.sangaboard.is_some(),
+                ("program", driver.program.is_some()),
+                ("tcp", driver.tcp.is_some()),
+                ("twin", driver.twin.is_some()),
+                ("gcs2", driver.gcs2.is_some()),
+                ("gcode", driver.gcode.is_some()),
+                ("sangaboard", driver.sangaboard.is_some()),
+                ("mjpeg", driver.mjpeg.is_some()),
+                ("snapshot", driver.snapshot.is_some()),
+                ("folder", driver.folder.is_some()),
+                ("v4l", driver.v4l.is_some()),
             ];
             let places = [
                 driver.gcs2.as_ref().map(OwnConfig::has_one_place),
                 driver.gcode.as_ref().map(OwnConfig::has_one_place),
                 driver.sangaboard.as_ref().map(OwnConfig::has_one_place),
             ];
+            let logins = [
+                driver.mjpeg.as_ref().map(WebConfig::has_whole_login),
+                driver.snapshot.as_ref().map(WebConfig::has_whole_login),
+            ];
+            if logins.into_iter().flatten().any(|whole| !whole) {
+                return Err(self.senseless(format!(
+                    "drivers.{name}: user and password_file belong together"
+                )));
+            }
             if places.into_iter().flatten().any(|one| !one) {
                 return Err(self.senseless(format!(
                     "drivers.{name} must say where the device is: exactly one of tcp and serial"
                 )));
             }
-            if kinds.iter().filter(|&&k| k).count() != 1 {
-                return Err(self.senseless(format!(
-                    "drivers.{name} must have exactly one of program, tcp, twin, gcs2, gcode and sangaboard"
-                )));
+            if kinds.iter().filter(|(_, is)| *is).count() != 1 {
+                let all = kinds.map(|(kind, _)| kind).join(", ");
+                return Err(
+                    self.senseless(format!("drivers.{name} must have exactly one of {all}"))
+                );
             }
             if driver.program.as_ref().is_some_and(Vec::is_empty) {
                 return Err(self.senseless(format!("drivers.{name}.program is empty")));

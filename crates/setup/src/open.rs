@@ -14,6 +14,7 @@ use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
 use scopeservo_twin::{Config as Make, StageConfig, Twin};
 use std::collections::BTreeMap;
 use std::fs;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -186,7 +187,7 @@ fn find(
     if let Some(twin) = &driver.twin {
         return simulated(config, twin, clock);
     }
-    if let Some(own) = own::find(config, driver)? {
+    if let Some(own) = own::find(config, driver, clock)? {
         return Ok(own);
     }
     let driver = match (&driver.program, &driver.tcp) {
@@ -219,15 +220,24 @@ fn find(
     })
 }
 
-fn secret(config: &Config, file: &std::path::Path) -> Result<Secret, SetupError> {
+/// A file that nobody else should read, and where it is.
+pub(crate) fn read_secret(config: &Config, file: &Path) -> Result<(PathBuf, Vec<u8>), SetupError> {
     let path = config.resolve(file);
-    let bad = |what: String| SetupError::Secret {
-        path: path.clone(),
-        what,
-    };
-    let bytes = fs::read(&path).map_err(|e| bad(e.to_string()))?;
-    Secret::new(&bytes)
-        .ok_or_else(|| bad(format!("it must have {} bytes or more", Secret::MIN_BYTES)))
+    match fs::read(&path) {
+        Ok(bytes) => Ok((path, bytes)),
+        Err(error) => Err(SetupError::Secret {
+            path,
+            what: error.to_string(),
+        }),
+    }
+}
+
+fn secret(config: &Config, file: &Path) -> Result<Secret, SetupError> {
+    let (path, bytes) = read_secret(config, file)?;
+    Secret::new(&bytes).ok_or_else(|| SetupError::Secret {
+        path,
+        what: format!("it must have {} bytes or more", Secret::MIN_BYTES),
+    })
 }
 
 fn simulated(

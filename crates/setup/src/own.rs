@@ -1,21 +1,27 @@
 //! Our own drivers, found and put in line with the others.
 
 use crate::SetupError;
-use crate::config::{Config, DriverConfig, OwnConfig};
-use crate::open::{Found, Homing};
+use crate::config::{Config, DriverConfig, OwnConfig, WebConfig};
+use crate::open::{Found, Homing, read_secret};
+use scopeservo_drivers::camera::http::Login;
+use scopeservo_drivers::camera::{FolderCamera, SnapshotCamera, V4lSettings, mjpeg_camera};
 use scopeservo_drivers::gcode::GcodeStage;
 use scopeservo_drivers::gcs2::Gcs2Stage;
 use scopeservo_drivers::link::{Tcp, Transport};
 use scopeservo_drivers::sangaboard::SangaStage;
 use scopeservo_protocol::Devices;
-use scopeservo_scope::{Motion, ScopeError, Stage, StageInfo, StagePose};
+use scopeservo_scope::{Camera, Clock, Motion, ScopeError, Stage, StageInfo, StagePose};
 use std::sync::Arc;
 use std::time::Duration;
 
 const CONNECT: Duration = Duration::from_secs(5);
 
 /// The driver of ours that is described, if one is.
-pub(crate) fn find(config: &Config, driver: &DriverConfig) -> Result<Option<Found>, SetupError> {
+pub(crate) fn find(
+    config: &Config,
+    driver: &DriverConfig,
+    clock: &Arc<dyn Clock>,
+) -> Result<Option<Found>, SetupError> {
     if let Some(own) = &driver.gcs2 {
         let stage = Gcs2Stage::connect(transport(config, own)?, &own.settings)?;
         return Ok(Some(found(stage, true)));
@@ -28,7 +34,69 @@ pub(crate) fn find(config: &Config, driver: &DriverConfig) -> Result<Option<Foun
         let stage = SangaStage::connect(transport(config, own)?, &own.settings)?;
         return Ok(Some(found(stage, false)));
     }
-    Ok(None)
+    let clock = clock.clone();
+    let camera: Box<dyn Camera> = if let Some(web) = &driver.mjpeg {
+        Box::new(mjpeg_camera(&web.settings, login(config, web)?, clock)?)
+    } else if let Some(web) = &driver.snapshot {
+        let login = login(config, web)?;
+        Box::new(SnapshotCamera::connect(&web.settings, login, clock)?)
+    } else if let Some(folder) = &driver.folder {
+        let path = config.resolve(&folder.path);
+        Box::new(FolderCamera::open(folder, path, clock)?)
+    } else if let Some(device) = &driver.v4l {
+        video(config, device, clock)?
+    } else {
+        return Ok(None);
+    };
+    Ok(Some(Found {
+        name: camera.info().name.clone(),
+        devices: Devices {
+            stage: None,
+            camera: Some(camera),
+            nosepiece: None,
+            light: None,
+        },
+        homing: None,
+        twin: None,
+    }))
+}
+
+fn login<T>(config: &Config, web: &WebConfig<T>) -> Result<Option<Login>, SetupError> {
+    let (Some(user), Some(file)) = (&web.user, &web.password_file) else {
+        return Ok(None);
+    };
+    let (path, bytes) = read_secret(config, file)?;
+    let password = String::from_utf8(bytes).map_err(|_| SetupError::Secret {
+        path,
+        what: "it is not text".into(),
+    })?;
+    Ok(Some(Login {
+        user: user.clone(),
+        // Editors end a file with a line end.
+        password: password.trim_end_matches(['\r', '\n']).to_string(),
+    }))
+}
+
+#[cfg(all(feature = "v4l", target_os = "linux"))]
+fn video(
+    _: &Config,
+    device: &V4lSettings,
+    clock: Arc<dyn Clock>,
+) -> Result<Box<dyn Camera>, SetupError> {
+    let camera = scopeservo_drivers::camera::v4l_camera(device, clock)?;
+    Ok(Box::new(camera))
+}
+
+#[cfg(not(all(feature = "v4l", target_os = "linux")))]
+fn video(
+    config: &Config,
+    device: &V4lSettings,
+    _: Arc<dyn Clock>,
+) -> Result<Box<dyn Camera>, SetupError> {
+    Err(config.senseless(format!(
+        "the video device {} needs a build for Linux with video devices: cargo build --release --features v4l",
+        device.device.display()
+    )))
 }
 
 fn transport<T>(config: &Config, own: &OwnConfig<T>) -> Result<Box<dyn Transport>, SetupError> {

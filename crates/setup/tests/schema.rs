@@ -81,6 +81,22 @@ fn the_schema_has_the_keys_of_the_program_table_by_table() {
             "[drivers.a.sangaboard.settings.x]",
             own("sangaboard/properties/settings/properties/x"),
         ),
+        ("[drivers.a.mjpeg]", own("mjpeg")),
+        (
+            "[drivers.a.mjpeg.settings]",
+            own("mjpeg/properties/settings"),
+        ),
+        (
+            "[drivers.a.mjpeg.settings.exposure]",
+            own("mjpeg/properties/settings/properties/exposure"),
+        ),
+        ("[drivers.a.snapshot]", own("snapshot")),
+        (
+            "[drivers.a.snapshot.settings]",
+            own("snapshot/properties/settings"),
+        ),
+        ("[drivers.a.folder]", own("folder")),
+        ("[drivers.a.v4l]", own("v4l")),
     ] {
         assert_eq!(known_keys(table), schema_keys(&pointer), "{table}");
     }

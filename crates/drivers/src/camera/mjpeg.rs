@@ -1,0 +1,78 @@
+//! Cameras on the web that send one JPEG after another.
+
+use crate::camera::exposing::ExposureSettings;
+use crate::camera::http::{Answer, HttpError, Login, Url};
+use crate::camera::multipart::Parts;
+use crate::camera::stream::{Packed, Source, StreamCamera};
+use crate::camera::{duration, lost};
+use crate::link::LinkError;
+use scopeservo_scope::{Clock, ScopeError};
+use serde::Deserialize;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// A camera that sends MJPEG over HTTP.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MjpegSettings {
+    /// Where it sends from: `http://host:port/path`.
+    pub url: String,
+    /// The longest time from the start of an exposure until the whole picture is here. Too short a time lets old pictures pass;
+    /// `doctor --allow-motion` finds that out.
+    pub latency_ms: f64,
+    /// How long after that a picture is waited for.
+    #[serde(default = "five_seconds")]
+    pub timeout_ms: f64,
+    /// How long it exposes.
+    pub exposure: ExposureSettings,
+}
+
+fn five_seconds() -> f64 {
+    5000.0
+}
+
+/// Opens the camera and waits for its first picture.
+///
+/// # Errors
+/// [`ScopeError::BadSetting`], [`ScopeError::Lost`] when it is not there or answers otherwise, [`ScopeError::Timeout`],
+/// [`ScopeError::Device`].
+pub fn mjpeg_camera(
+    settings: &MjpegSettings,
+    login: Option<Login>,
+    clock: Arc<dyn Clock>,
+) -> Result<StreamCamera, ScopeError> {
+    let url = Url::parse(&settings.url)?;
+    let latency = duration("latency_ms", settings.latency_ms)?;
+    let timeout = duration("timeout_ms", settings.timeout_ms)?;
+    let exposing = settings.exposure.exposing(login.clone(), timeout)?;
+    let name = format!("MJPEG camera at {url}");
+    let open = move || -> Result<Box<dyn Source>, ScopeError> {
+        let at = |what: &dyn std::fmt::Display| lost(format!("{url}: {what}"));
+        let answer = Answer::get(&url, login.as_ref(), timeout).map_err(|e| at(&e))?;
+        let parts = Parts::new(&answer.head.content_type).map_err(|e| at(&e))?;
+        Ok(Box::new(Mjpeg { answer, parts }))
+    };
+    StreamCamera::new(name, Box::new(open), exposing, latency, timeout, clock)
+}
+
+struct Mjpeg {
+    answer: Answer,
+    parts: Parts,
+}
+
+impl Source for Mjpeg {
+    fn next(&mut self, wait: Duration) -> Result<Option<Packed>, String> {
+        let deadline = Instant::now() + wait;
+        loop {
+            if let Some(picture) = self.parts.next().map_err(|e| e.to_string())? {
+                return Ok(Some(Packed::File(picture)));
+            }
+            match self.answer.more(self.parts.feed(), deadline) {
+                Ok(true) => {}
+                Ok(false) => return Err("it has ended its pictures".into()),
+                Err(HttpError::Link(LinkError::Silence)) => return Ok(None),
+                Err(error) => return Err(error.to_string()),
+            }
+        }
+    }
+}
