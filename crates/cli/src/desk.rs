@@ -70,8 +70,8 @@ impl Desk {
         })
     }
 
-    /// The objective of that name, brought into the beam; the one that is there when none is named.
-    pub(crate) fn select(&self, name: Option<&str>) -> Result<Objective, CliError> {
+    /// The objective of that name; the one that is in the beam when none is named.
+    pub(crate) fn objective(&self, name: Option<&str>) -> Result<Objective, CliError> {
         let id = match name {
             Some(name) => ObjectiveId(name.into()),
             None => self.scope.gate().current_objective()?.ok_or_else(|| {
@@ -81,9 +81,7 @@ impl Desk {
                 ))
             })?,
         };
-        let objective = self.scope.objective(&id)?.clone();
-        self.scope.select_objective(&id)?;
-        Ok(objective)
+        Ok(self.scope.objective(&id)?.clone())
     }
 }
 

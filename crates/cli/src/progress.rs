@@ -3,8 +3,8 @@
 use crate::views::ViewWriter;
 use indicatif::{ProgressBar, ProgressStyle};
 use scopeservo_report::Recorder;
-use scopeservo_scope::Frame;
-use scopeservo_servo::{Event, FrameRole, Phase, Sink, Stamped};
+use scopeservo_scope::{Frame, ObjectiveId};
+use scopeservo_servo::{Event, FrameRole, Identity, Phase, Sink, Stamped};
 
 /// Shares of a run that its parts take, from experience: the bar should move evenly.
 const FOCUS: f64 = 2.0;
@@ -64,6 +64,7 @@ impl Watcher {
                 let what = match phase {
                     Phase::Switch => "changing to",
                     Phase::Focus => "focusing with",
+                    Phase::Identify => "looking whether it is",
                     Phase::Calibrate => "calibrating",
                     Phase::Servo => "servoing with",
                 };
@@ -71,6 +72,14 @@ impl Watcher {
                 self.bar.set_message(format!("{what} {objective}"));
             }
             Event::Focused { .. } => self.done += FOCUS,
+            Event::Identified {
+                objective,
+                identity,
+            } => {
+                // Who turned the nosepiece is told, bar or not, and before being asked again.
+                self.bar
+                    .suspend(|| eprintln!("{}", identified(objective, identity)));
+            }
             Event::Calibrated { .. } => self.done += CALIBRATE,
             Event::Iteration {
                 objective,
@@ -119,6 +128,16 @@ impl Watcher {
             }
         }
         self.show(0.0);
+    }
+}
+
+/// What a picture told, for whoever turned the nosepiece.
+fn identified(told: &ObjectiveId, identity: &Identity) -> String {
+    let scale = format!("the picture has {:.3} um per pixel", identity.um_per_px);
+    match (identity.as_told, &identity.looks_like) {
+        (true, _) => format!("{told} is in: {scale}"),
+        (false, Some(other)) => format!("that is not {told}: {scale}, as {other} has"),
+        (false, None) => format!("that is not {told}: {scale}, which fits no objective"),
     }
 }
 

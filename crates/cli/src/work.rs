@@ -11,7 +11,7 @@ use crate::views::write_json;
 use scopeservo_report as report;
 use scopeservo_scope::{Axis, Frame, Length, Objective, StagePose};
 use scopeservo_servo::{
-    Calibrate, CalibrateOptions, Calibration, Event, Focus, FocusOptions, FocusResult, FrameRole,
+    Bring, Calibrate, CalibrateOptions, Calibration, Event, FocusOptions, FocusResult, FrameRole,
     Outcome, Reposition, RepositionOptions, ServoOptions, Sink, Stamped, Target, Verdict,
     VisionOptions,
 };
@@ -20,14 +20,15 @@ use serde_json::json;
 use std::fs;
 use std::time::Instant;
 
-fn focus_on(
+/// Brings an objective into the beam, into focus where that is wanted, and shows which it is where only somebody's word tells.
+fn bring(
     desk: &Desk,
     objective: &Objective,
-    options: FocusOptions,
-    watcher: &mut Watcher,
-) -> Result<FocusResult, CliError> {
-    let mut focus = Focus::new(objective.clone(), options);
-    Ok(scopeservo_servo::run(&mut focus, &desk.scope, watcher)?)
+    focus: Option<FocusOptions>,
+    sink: &mut dyn Sink,
+) -> Result<Option<FocusResult>, CliError> {
+    let mut bring = Bring::new(objective.id.clone(), focus, VisionOptions::default());
+    Ok(scopeservo_servo::run(&mut bring, &desk.scope, sink)?)
 }
 
 fn show_focus(objective: &Objective, result: &FocusResult) {
@@ -50,15 +51,17 @@ pub(crate) fn focus(args: &FocusArgs) -> Result<bool, CliError> {
         ));
     }
     let desk = Desk::open(&args.instrument)?;
-    let objective = desk.select(args.objective.as_deref())?;
+    let objective = desk.objective(args.objective.as_deref())?;
     let mut watcher = Watcher::new(None);
     let options = FocusOptions {
         half_range_um: args.range_um,
         ..FocusOptions::default()
     };
-    let result = focus_on(&desk, &objective, options, &mut watcher);
+    let result = bring(&desk, &objective, Some(options), &mut watcher);
     watcher.finish();
-    let result = result?;
+    let Some(result) = result? else {
+        return Err(CliError::Internal("nothing was focused".into()));
+    };
     match args.json {
         true => output::print(&json!({
             "schema": SCHEMA,
@@ -134,10 +137,12 @@ fn calibrate_one(
     no_focus: bool,
     watcher: &mut Watcher,
 ) -> Result<Calibration, CliError> {
-    desk.scope.select_objective(&objective.id)?;
-    if !no_focus {
-        focus_on(desk, objective, FocusOptions::default(), watcher)?;
-    }
+    bring(
+        desk,
+        objective,
+        (!no_focus).then(FocusOptions::default),
+        watcher,
+    )?;
     let mut calibrate = Calibrate::new(
         objective.clone(),
         CalibrateOptions::default(),
@@ -207,17 +212,15 @@ pub(crate) fn save_target(args: &TargetSaveArgs) -> Result<bool, CliError> {
     let config = Config::read(&args.instrument.config)?;
     Store::new(config.resolve(&config.data_folder)).check_new_target(&args.name)?;
     let desk = Desk::open(&args.instrument)?;
-    let objective = desk.select(args.objective.as_deref())?;
+    let objective = desk.objective(args.objective.as_deref())?;
     let mut watcher = Watcher::new(None);
     let mut sink = LastFrame {
         watcher: &mut watcher,
         frame: None,
     };
     let saved = (|| -> Result<(Target, StagePose), CliError> {
-        if args.focus {
-            let mut focus = Focus::new(objective.clone(), FocusOptions::default());
-            scopeservo_servo::run(&mut focus, &desk.scope, &mut sink)?;
-        }
+        let focus = args.focus.then(FocusOptions::default);
+        bring(&desk, &objective, focus, &mut sink)?;
         let target = Target::save(&desk.scope, &VisionOptions::default(), &mut sink)?;
         Ok((target, desk.scope.gate().position()?))
     })();

@@ -1,4 +1,4 @@
-//! Drivers for real stages. Each is three things that share no code: a pure codec (typed commands to bytes, bytes to
+//! Drivers for real stages, nosepieces and [cameras](camera). Each driver of a stage is three things that share no code: a pure codec (typed commands to bytes, bytes to
 //! typed replies, no input or output), a driver that implements [`scopeservo_scope::Stage`] over any [`link::Transport`],
 //! and an [`emulator`] on a TCP port of this machine to test the driver against.
 //!
@@ -18,3 +18,4 @@ pub mod gcs2;
 pub mod link;
 pub mod sangaboard;
 mod session;
+pub mod turret;

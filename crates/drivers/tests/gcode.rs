@@ -18,8 +18,9 @@ fn settings() -> GcodeSettings {
         repeatability_um: 2.5,
     };
     GcodeSettings {
-        kinematics: Kinematics::SpecimenXyOnTop,
-        positive_z: PositiveZ::Apart,
+        kinematics: Some(Kinematics::SpecimenXyOnTop),
+        positive_z: Some(PositiveZ::Apart),
+        nosepiece: None,
         axes: [(Axis::X, 'X'), (Axis::Y, 'Y'), (Axis::Z, 'Z')]
             .map(axis)
             .into(),

@@ -353,8 +353,9 @@ fn drivers_refuse_noise_in_time() {
         gcs2::Gcs2Settings::hexapod(Kinematics::MovesMicroscope, PositiveZ::Closer, 0.1, 0.001);
     hexapod.reply_timeout_ms = 30;
     let board = gcode::GcodeSettings {
-        kinematics: Kinematics::SpecimenXyOnTop,
-        positive_z: PositiveZ::Apart,
+        kinematics: Some(Kinematics::SpecimenXyOnTop),
+        positive_z: Some(PositiveZ::Apart),
+        nosepiece: None,
         axes: vec![gcode::GcodeAxis {
             axis: Axis::X,
             letter: 'X',

@@ -5,9 +5,10 @@ use crate::text::{escape, fixed, seconds};
 use scopeservo_servo::Phase;
 use std::fmt::Write as _;
 
-const PHASES: [(Phase, &str, &str); 4] = [
+const PHASES: [(Phase, &str, &str); 5] = [
     (Phase::Switch, "switch", "Change of objective"),
     (Phase::Focus, "focus", "Focus"),
+    (Phase::Identify, "identify", "Look at which objective is in"),
     (Phase::Calibrate, "calibrate", "Calibration"),
     (Phase::Servo, "servo", "Servo"),
 ];
@@ -64,6 +65,10 @@ pub(crate) fn time(r: &Report<'_>) -> String {
             .filter(|s| s.phase == phase)
             .map(|s| s.to_s - s.from_s)
             .sum();
+        // Only somebody who turns a nosepiece by hand is checked.
+        if phase == Phase::Identify && sum == 0.0 {
+            continue;
+        }
         let _ = writeln!(
             out,
             "<li><b class=\"{class}\"></b>{name}: {} ({} %)</li>",

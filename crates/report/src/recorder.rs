@@ -99,7 +99,7 @@ impl Sink for Recorder {
             Event::PhaseStarted { phase, .. } => match phase {
                 Phase::Servo => self.keep_view(),
                 Phase::Focus => self.sharpest = None,
-                Phase::Switch | Phase::Calibrate => {}
+                Phase::Switch | Phase::Identify | Phase::Calibrate => {}
             },
             Event::FocusSample { sharpness, .. }
                 if self.sharpest.as_ref().is_none_or(|s| *sharpness > s.0) =>

@@ -136,6 +136,7 @@ impl<'a> Story<'a> {
             Event::Focused { objective, result } => {
                 self.sweep(Some(objective)).result = Some(result)
             }
+            Event::Identified { .. } => {}
             Event::CalibrationView { shift_px, .. } => {
                 if let Some(c) = self.calibrations.last_mut() {
                     c.shifts_px.push(*shift_px);
@@ -213,7 +214,7 @@ impl<'a> Story<'a> {
             to_s: time_s,
         });
         match phase {
-            Phase::Switch => {}
+            Phase::Switch | Phase::Identify => {}
             Phase::Focus => self.sweeps.push(Sweep {
                 objective: Some(objective),
                 samples: Vec::new(),

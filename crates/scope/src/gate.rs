@@ -86,6 +86,21 @@ impl MotionGate {
         self.nosepiece.current()
     }
 
+    /// Whether only somebody's word tells which objective is in the beam.
+    pub fn objective_is_unproven(&self) -> bool {
+        self.nosepiece.is_unproven()
+    }
+
+    /// A picture has shown that the objective in the beam is the one that [`MotionGate::current_objective`] tells.
+    pub fn prove_objective(&self) {
+        self.nosepiece.prove();
+    }
+
+    /// A picture has shown that it is another. Returns whether changing to it once more may help.
+    pub fn disprove_objective(&self) -> bool {
+        self.nosepiece.disprove()
+    }
+
     /// Where the stage says it is.
     pub fn position(&self) -> Result<StagePose, ScopeError> {
         self.stage.position()

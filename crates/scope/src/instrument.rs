@@ -124,6 +124,11 @@ impl Instrument {
         self.focus_heights_mut().clone()
     }
 
+    /// Takes back what [`Instrument::focus_found`] told: it was another objective.
+    pub fn forget_focus(&self, id: &ObjectiveId) {
+        self.focus_heights_mut().remove(id);
+    }
+
     fn focus_heights_mut(&self) -> std::sync::MutexGuard<'_, BTreeMap<ObjectiveId, Length>> {
         self.focus.lock().unwrap_or_else(|e| e.into_inner())
     }

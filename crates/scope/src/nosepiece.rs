@@ -40,4 +40,14 @@ pub trait Nosepiece: Send + Sync {
     fn poll(&self) -> Result<Motion, ScopeError>;
     /// Stops at once where the hardware can.
     fn stop(&self) -> Result<(), ScopeError>;
+    /// Whether only somebody's word tells which objective is in the beam: then a picture has to show it before anything leans on it.
+    fn is_unproven(&self) -> bool {
+        false
+    }
+    /// A picture has shown that [`Nosepiece::current`] tells the truth.
+    fn prove(&self) {}
+    /// A picture has shown that it does not. Returns whether another change to the same objective may bring it into the beam.
+    fn disprove(&self) -> bool {
+        false
+    }
 }

@@ -71,6 +71,41 @@ pub enum ServoError {
         /// What would have been accepted, px.
         allowed_px: f64,
     },
+    /// Which objective is in the beam could not be seen.
+    #[error(
+        "whether {objective} is in the beam could not be seen, because of {reason}. Go to a place with tissue, in focus, and try again"
+    )]
+    ObjectiveUnclear {
+        /// The objective that is said to be there.
+        objective: ObjectiveId,
+        /// Why the view was not found after a small move.
+        reason: NotFound,
+    },
+    /// The picture does not move with the stage.
+    #[error(
+        "whether {objective} is in the beam could not be seen: the stage moved by {moved_um:.1} um, and the picture stayed. Check that \
+         the objective has clicked in and that the slide is held"
+    )]
+    PictureStays {
+        /// The objective that is said to be there.
+        objective: ObjectiveId,
+        /// How far the stage moved.
+        moved_um: f64,
+    },
+    /// The picture shows another objective than the one that is said to be there.
+    #[error(
+        "{told} was asked for, but the picture has {um_per_px:.3} um per pixel, {}: nothing was done with it. Bring {told} into the \
+         beam, or correct um_per_px of the objectives",
+        looks_like.as_ref().map_or("which fits no objective".into(), |o| format!("as {o} has"))
+    )]
+    WrongObjective {
+        /// The objective that is said to be there.
+        told: ObjectiveId,
+        /// The one that it looks like.
+        looks_like: Option<ObjectiveId>,
+        /// What was measured.
+        um_per_px: f64,
+    },
     /// A setting that makes no sense.
     #[error("{0}")]
     BadOption(String),

@@ -1,6 +1,6 @@
 //! What procedures tell: progress bar, report, replay and resume all read the same events.
 
-use crate::{Calibration, FocusResult, Outcome, PoseError};
+use crate::{Calibration, FocusResult, Identity, Outcome, PoseError};
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Frame, Instrument, ObjectiveId, StagePose};
@@ -14,6 +14,8 @@ pub enum Phase {
     Switch,
     /// Autofocus.
     Focus,
+    /// A look at which objective is in the beam.
+    Identify,
     /// Calibration.
     Calibrate,
     /// Visual servoing.
@@ -28,6 +30,8 @@ pub enum FrameRole {
     Target,
     /// A focus sweep.
     Focus,
+    /// A look at which objective is in the beam.
+    Identify,
     /// A calibration view.
     Calibration,
     /// An iteration of the servo.
@@ -78,6 +82,13 @@ pub enum Event {
         objective: ObjectiveId,
         /// The result.
         result: FocusResult,
+    },
+    /// A picture told which objective is in the beam.
+    Identified {
+        /// The objective that is said to be there.
+        objective: ObjectiveId,
+        /// What the picture tells.
+        identity: Identity,
     },
     /// One calibration view was registered to the reference view, or not.
     CalibrationView {

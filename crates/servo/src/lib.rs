@@ -6,6 +6,7 @@
 //!
 //! Data flow one way: camera -> features -> match and fit -> homography -> pose error -> control -> stage.
 
+mod bring;
 mod calibrate;
 mod calibration;
 mod control;
@@ -13,12 +14,14 @@ mod error;
 mod event;
 mod focus;
 mod hand_eye;
+mod identify;
 mod kinematics;
 mod procedure;
 mod reposition;
 pub mod servo;
 mod vision;
 
+pub use bring::Bring;
 pub use calibrate::{Calibrate, CalibrateOptions};
 pub use calibration::{CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
 pub use control::{PoseError, control_law, motion_of, pose_error};
@@ -26,6 +29,7 @@ pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};
 pub use focus::{Focus, FocusOptions, FocusResult, sharpness};
 pub use hand_eye::{Observation, solve_hand_eye};
+pub use identify::{Identify, Identity};
 pub use kinematics::{Motion2, PlanarPose, motion_between, pose_after};
 pub use procedure::{Procedure, Progress, run};
 pub use reposition::{

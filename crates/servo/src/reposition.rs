@@ -5,7 +5,7 @@ use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
 use crate::servo::ServoTask;
 use crate::{
-    Calibrate, CalibrateOptions, Calibration, Engine, Event, Focus, FocusOptions, Phase, Servo,
+    Bring, Calibrate, CalibrateOptions, Calibration, Engine, Event, FocusOptions, Phase, Servo,
     ServoEnd, ServoError, ServoOptions, ServoResult, Sink, Target, VisionOptions,
 };
 use scopeservo_scope::{Instrument, Length, ObjectiveId, ScopeError};
@@ -48,6 +48,8 @@ pub enum Reason {
     BlankTarget,
     /// No focus: nothing to see at the start.
     NoFocus,
+    /// Another objective is in the beam than the one that was asked for, or it could not be seen which.
+    WrongObjective,
     /// Calibration had too little to see or was implausible.
     CalibrationFailed,
     /// The target is not in the view.
@@ -96,8 +98,7 @@ pub struct Outcome {
 #[serde(rename_all = "snake_case")]
 enum State {
     Begin,
-    Switch,
-    Focus(Box<Focus>),
+    Bring(Box<Bring>),
     Calibrate(Box<Calibrate>),
     Servo(Servo),
 }
@@ -206,7 +207,7 @@ impl Reposition {
                     message,
                 )));
             }
-            self.state = State::Switch;
+            self.state = self.bring();
             return Ok(None);
         }
         let Some((objective, servo_here)) = self.legs.first().cloned() else {
@@ -215,26 +216,12 @@ impl Reposition {
             ));
         };
         match &mut self.state {
-            State::Begin | State::Switch => {
-                self.enter(scope, sink, Phase::Switch);
-                scope.select_objective(&objective)?;
-                let focus = Focus::new(
-                    scope.objective(&objective)?.clone(),
-                    self.options.focus.clone(),
-                );
-                self.enter(scope, sink, Phase::Focus);
-                self.state = State::Focus(Box::new(focus));
-            }
-            State::Focus(focus) => {
-                if let Progress::Done(result) = focus.step(scope, sink)? {
-                    if let Some(z) = result.z_um {
+            State::Begin => {}
+            State::Bring(bring) => {
+                if let Progress::Done(focused) = bring.step(scope, sink)? {
+                    if let Some(z) = focused.and_then(|f| f.z_um) {
                         self.focus_um.insert(objective.clone(), z);
                     }
-                    let event = Event::Focused {
-                        objective: objective.clone(),
-                        result,
-                    };
-                    tell(scope, sink, event);
                     if servo_here && self.known.contains(&objective) {
                         self.enter(scope, sink, Phase::Servo);
                         self.state = State::Servo(Servo::default());
@@ -297,9 +284,21 @@ impl Reposition {
         Ok(None)
     }
 
+    /// The beginning of the leg that comes; without one the run is over.
+    fn bring(&self) -> State {
+        match self.legs.first() {
+            Some((objective, _)) => State::Bring(Box::new(Bring::new(
+                objective.clone(),
+                Some(self.options.focus.clone()),
+                self.options.vision.clone(),
+            ))),
+            None => State::Begin,
+        }
+    }
+
     fn next_leg(&mut self) {
         self.legs.remove(0);
-        self.state = State::Switch;
+        self.state = self.bring();
     }
 
     /// The answer when a loop's end is the run's end. A target that was seen and lost again may be seen better by the next objective.
@@ -385,6 +384,9 @@ impl Reposition {
     fn answer(&self, error: ServoError) -> Result<Outcome, ServoError> {
         let reason = match &error {
             ServoError::NoFocus { .. } => Reason::NoFocus,
+            ServoError::WrongObjective { .. }
+            | ServoError::ObjectiveUnclear { .. }
+            | ServoError::PictureStays { .. } => Reason::WrongObjective,
             ServoError::CalibrationViews { .. }
             | ServoError::CalibrationImplausible { .. }
             | ServoError::CalibrationInconsistent { .. } => Reason::CalibrationFailed,

@@ -17,6 +17,8 @@ pub(crate) struct ByHand {
 struct State {
     current: Option<ObjectiveId>,
     motion: Motion,
+    /// Whether a picture has shown that it is there.
+    proven: bool,
     /// Counts the requests, so that a late answer to a stopped one changes nothing.
     asked: u64,
 }
@@ -36,6 +38,7 @@ impl ByHand {
             state: Arc::new(Mutex::new(State {
                 current: only,
                 motion: Motion::Settled,
+                proven: true,
                 asked: 0,
             })),
         }
@@ -68,6 +71,7 @@ impl Nosepiece for ByHand {
             }
             state.current = None;
             state.motion = Motion::Moving;
+            state.proven = false;
             state.asked += 1;
             state.asked
         };
@@ -96,6 +100,20 @@ impl Nosepiece for ByHand {
             state.motion = Motion::Stopped;
         }
         Ok(())
+    }
+
+    fn is_unproven(&self) -> bool {
+        !lock(&self.state).proven
+    }
+
+    fn prove(&self) {
+        lock(&self.state).proven = true;
+    }
+
+    fn disprove(&self) -> bool {
+        // Whoever turned it can be asked again.
+        lock(&self.state).current = None;
+        true
     }
 }
 
@@ -141,7 +159,14 @@ mod tests {
         answer.send(true).unwrap();
         assert_eq!(settle(&nosepiece), Motion::Settled);
         assert_eq!(nosepiece.current(), Ok(Some(id("40x"))));
+        // That is somebody's word until a picture has shown it.
+        assert!(nosepiece.is_unproven());
+        nosepiece.prove();
+        assert!(!nosepiece.is_unproven());
+        assert!(nosepiece.disprove());
+        assert_eq!(nosepiece.current(), Ok(None));
         nosepiece.start_change(&id("10x")).unwrap();
+        assert!(nosepiece.is_unproven());
         answer.send(false).unwrap();
         assert_eq!(settle(&nosepiece), Motion::Stopped);
         assert_eq!(nosepiece.current(), Ok(None));
@@ -160,6 +185,7 @@ mod tests {
         let mut all = objectives();
         all.truncate(1);
         let nosepiece = ByHand::new(all, Arc::new(|_| false));
+        assert!(!nosepiece.is_unproven());
         assert_eq!(nosepiece.current(), Ok(Some(ObjectiveId("10x".into()))));
     }
 }

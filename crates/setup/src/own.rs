@@ -9,8 +9,9 @@ use scopeservo_drivers::gcode::GcodeStage;
 use scopeservo_drivers::gcs2::Gcs2Stage;
 use scopeservo_drivers::link::{Tcp, Transport};
 use scopeservo_drivers::sangaboard::SangaStage;
+use scopeservo_drivers::turret::Turret;
 use scopeservo_protocol::Devices;
-use scopeservo_scope::{Camera, Clock, Motion, ScopeError, Stage, StageInfo, StagePose};
+use scopeservo_scope::{Camera, Clock, Motion, Nosepiece, ScopeError, Stage, StageInfo, StagePose};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -24,15 +25,19 @@ pub(crate) fn find(
 ) -> Result<Option<Found>, SetupError> {
     if let Some(own) = &driver.gcs2 {
         let stage = Gcs2Stage::connect(transport(config, own)?, &own.settings)?;
-        return Ok(Some(found(stage, true)));
+        let stage = Arc::new(stage);
+        let nosepiece = stage.nosepiece();
+        return Ok(Some(found(stage, nosepiece, true)));
     }
     if let Some(own) = &driver.gcode {
         let stage = GcodeStage::connect(transport(config, own)?, &own.settings)?;
-        return Ok(Some(found(stage, own.settings.needs_homing)));
+        let stage = Arc::new(stage);
+        let nosepiece = stage.nosepiece();
+        return Ok(Some(found(stage, nosepiece, own.settings.needs_homing)));
     }
     if let Some(own) = &driver.sangaboard {
         let stage = SangaStage::connect(transport(config, own)?, &own.settings)?;
-        return Ok(Some(found(stage, false)));
+        return Ok(Some(found(Arc::new(stage), None, false)));
     }
     let clock = clock.clone();
     let camera: Box<dyn Camera> = if let Some(web) = &driver.mjpeg {
@@ -126,20 +131,22 @@ fn serial(config: &Config, port: &str, _: u32) -> Result<Box<dyn Transport>, Set
     )))
 }
 
-fn found<T: Stage + Homing + 'static>(stage: T, homes: bool) -> Found {
-    let kept = Kept(Arc::new(stage));
+fn found<T: Stage + Homing + 'static>(
+    stage: Arc<T>,
+    nosepiece: Option<Turret>,
+    homes: bool,
+) -> Found {
+    // A board may drive a nosepiece and nothing else.
+    let is_stage = !stage.info().axes.is_empty();
     Found {
-        name: kept.info().name.clone(),
+        name: stage.info().name.clone(),
         devices: Devices {
-            stage: Some(Box::new(Kept(kept.0.clone()))),
+            stage: is_stage.then(|| Box::new(Kept(stage.clone())) as Box<dyn Stage>),
             camera: None,
-            nosepiece: None,
+            nosepiece: nosepiece.map(|n| Box::new(n) as Box<dyn Nosepiece>),
             light: None,
         },
-        homing: match homes {
-            true => Some(Box::new(kept)),
-            false => None,
-        },
+        homing: (is_stage && homes).then(|| Box::new(Kept(stage)) as Box<dyn Homing>),
         twin: None,
     }
 }

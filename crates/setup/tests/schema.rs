@@ -72,6 +72,22 @@ fn the_schema_has_the_keys_of_the_program_table_by_table() {
             "[[drivers.a.gcode.settings.axes]]",
             own("gcode/properties/settings/properties/axes/items"),
         ),
+        (
+            "[drivers.a.gcs2.settings.nosepiece]",
+            own("gcs2/properties/settings/properties/nosepiece"),
+        ),
+        (
+            "[[drivers.a.gcs2.settings.nosepiece.objectives]]",
+            own("gcs2/properties/settings/properties/nosepiece/properties/objectives/items"),
+        ),
+        (
+            "[drivers.a.gcode.settings.nosepiece]",
+            own("gcode/properties/settings/properties/nosepiece"),
+        ),
+        (
+            "[[drivers.a.gcode.settings.nosepiece.objectives]]",
+            own("gcode/properties/settings/properties/nosepiece/properties/objectives/items"),
+        ),
         ("[drivers.a.sangaboard]", own("sangaboard")),
         (
             "[drivers.a.sangaboard.settings]",

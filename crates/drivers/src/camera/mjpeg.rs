@@ -64,7 +64,7 @@ impl Source for Mjpeg {
     fn next(&mut self, wait: Duration) -> Result<Option<Packed>, String> {
         let deadline = Instant::now() + wait;
         loop {
-            if let Some(picture) = self.parts.next().map_err(|e| e.to_string())? {
+            if let Some(picture) = self.parts.take().map_err(|e| e.to_string())? {
                 return Ok(Some(Packed::File(picture)));
             }
             match self.answer.more(self.parts.feed(), deadline) {

@@ -93,7 +93,7 @@ impl Parts {
     ///
     /// # Errors
     /// [`MultipartError`]; the stream cannot be read on then.
-    pub fn next(&mut self) -> Result<Option<Vec<u8>>, MultipartError> {
+    pub fn take(&mut self) -> Result<Option<Vec<u8>>, MultipartError> {
         loop {
             match self.state {
                 State::Between => {
@@ -219,7 +219,7 @@ mod tests {
         let mut all = Vec::new();
         for chunk in stream.chunks(piece) {
             parts.feed().extend_from_slice(chunk);
-            while let Some(picture) = parts.next()? {
+            while let Some(picture) = parts.take()? {
                 all.push(picture);
             }
         }
@@ -286,12 +286,12 @@ mod tests {
         let mut parts = Parts::new("multipart/x-mixed-replace; boundary=b").unwrap();
         for _ in 0..100 {
             parts.feed().extend_from_slice(&[b'-'; 1000]);
-            assert_eq!(parts.next(), Ok(None));
+            assert_eq!(parts.take(), Ok(None));
             assert!(parts.held.len() < 20);
         }
         // And not for ever.
         let more = vec![b'-'; MAX_PICTURE_BYTES];
         parts.feed().extend_from_slice(&more);
-        assert_eq!(parts.next(), Err(MultipartError::TooLarge));
+        assert_eq!(parts.take(), Err(MultipartError::TooLarge));
     }
 }

@@ -1,4 +1,4 @@
-//! An emulated board with Marlin: three axes, a queue of commands, numbered lines, signs of being busy.
+//! An emulated board with Marlin: three axes and perhaps a turning one, a queue of commands, numbered lines, signs of being busy.
 
 use super::server::{Device, Server};
 use std::collections::VecDeque;
@@ -23,6 +23,8 @@ pub struct EmulatedBoard {
     pub homing_ms: u64,
     /// How often it says that it is busy.
     pub busy_every_ms: u64,
+    /// Steps for a degree of A, 400 degrees each way, if it has that axis.
+    pub steps_per_deg: Option<f64>,
 }
 
 impl EmulatedBoard {
@@ -37,6 +39,7 @@ impl EmulatedBoard {
             homes_first: false,
             homing_ms: 200,
             busy_every_ms: 50,
+            steps_per_deg: None,
         }
     }
 }
@@ -58,8 +61,8 @@ impl GcodeEmulator {
     pub fn serve(board: EmulatedBoard) -> std::io::Result<Self> {
         Server::start(Board {
             board,
-            from: [0.0; 3],
-            goal: [0.0; 3],
+            from: [0.0; 4],
+            goal: [0.0; 4],
             began: Instant::now(),
             takes: Duration::ZERO,
             feed_mm_per_s: 10.0,
@@ -78,7 +81,12 @@ impl GcodeEmulator {
 
     /// Where it really is, mm, whatever it says.
     pub fn truth(&self) -> [f64; 3] {
-        self.device().place()
+        let [x, y, z, _] = self.device().place();
+        [x, y, z]
+    }
+    /// Where the turning axis really is, deg.
+    pub fn turned_deg(&self) -> f64 {
+        self.device().place()[3]
     }
     /// Damages so many of the numbered lines that come next.
     pub fn damage_lines(&self, lines: u32) {
@@ -106,14 +114,14 @@ impl GcodeEmulator {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Waits {
     Motion { reports: bool },
-    Homing(Instant),
+    Homing { until: Instant, axes: [bool; 4] },
 }
 
 /// The state of the emulated board.
 pub struct Board {
     board: EmulatedBoard,
-    from: [f64; 3],
-    goal: [f64; 3],
+    from: [f64; 4],
+    goal: [f64; 4],
     began: Instant,
     takes: Duration,
     feed_mm_per_s: f64,
@@ -130,13 +138,13 @@ pub struct Board {
 }
 
 impl Board {
-    fn place(&self) -> [f64; 3] {
+    fn place(&self) -> [f64; 4] {
         let part = if self.takes.is_zero() {
             1.0
         } else {
             (self.began.elapsed().as_secs_f64() / self.takes.as_secs_f64()).min(1.0)
         };
-        [0, 1, 2].map(|i| self.from[i] + part * (self.goal[i] - self.from[i]))
+        [0, 1, 2, 3].map(|i| self.from[i] + part * (self.goal[i] - self.from[i]))
     }
 
     fn moves(&self) -> bool {
@@ -153,7 +161,7 @@ impl Board {
             return;
         }
         self.stand();
-        if matches!(self.waits, Some(Waits::Homing(_))) {
+        if matches!(self.waits, Some(Waits::Homing { .. })) {
             self.waits = Some(Waits::Motion { reports: false });
         }
     }
@@ -161,9 +169,16 @@ impl Board {
     fn report(&self, says: &mut Vec<u8>) {
         let place = self.place();
         let steps = [0, 1, 2].map(|i| (place[i] * self.board.steps_per_mm[i]).round() as i64);
-        let [x, y, z] = self.goal;
+        let [x, y, z, a] = self.goal;
+        let (turned, counted) = match self.board.steps_per_deg {
+            Some(per_deg) => (
+                format!(" A:{a:.2}"),
+                format!(" A:{}", (place[3] * per_deg).round() as i64),
+            ),
+            None => Default::default(),
+        };
         let text = format!(
-            "X:{x:.2} Y:{y:.2} Z:{z:.2} E:0.00 Count X:{} Y:{} Z:{}\n",
+            "X:{x:.2} Y:{y:.2} Z:{z:.2}{turned} E:0.00 Count X:{} Y:{} Z:{}{counted}\n",
             steps[0], steps[1], steps[2]
         );
         says.extend(text.bytes());
@@ -221,7 +236,12 @@ impl Board {
             "M114" => self.report(says),
             "G28" => {
                 let wait = Duration::from_millis(self.board.homing_ms);
-                self.waits = Some(Waits::Homing(Instant::now() + wait));
+                let named: Vec<&str> = words.collect();
+                let axes = ["X", "Y", "Z", "A"].map(|a| named.is_empty() || named.contains(&a));
+                self.waits = Some(Waits::Homing {
+                    until: Instant::now() + wait,
+                    axes,
+                });
             }
             "G1" => self.go(words, says),
             _ => says.extend(format!("echo:Unknown command: \"{command}\"\n").bytes()),
@@ -250,13 +270,15 @@ impl Board {
                 "X" => 0,
                 "Y" => 1,
                 "Z" => 2,
+                "A" if self.board.steps_per_deg.is_some() => 3,
                 "F" => {
                     self.feed_mm_per_s = value / 60.0;
                     continue;
                 }
                 _ => continue,
             };
-            let (low, high) = self.board.limits_mm[at];
+            let limits = self.board.limits_mm.get(at);
+            let (low, high) = limits.copied().unwrap_or((-400.0, 400.0));
             let to = if self.relative {
                 goal[at] + value
             } else {
@@ -264,7 +286,10 @@ impl Board {
             };
             goal[at] = to.clamp(low, high);
         }
-        let way: f64 = [0, 1, 2].map(|i| (goal[i] - from[i]).powi(2)).iter().sum();
+        let way: f64 = [0, 1, 2, 3]
+            .map(|i| (goal[i] - from[i]).powi(2))
+            .iter()
+            .sum();
         self.takes = Duration::from_secs_f64(way.sqrt() / self.feed_mm_per_s);
         self.began = Instant::now();
         (self.from, self.goal) = (from, goal);
@@ -295,12 +320,14 @@ impl Device for Board {
         loop {
             match self.waits {
                 Some(Waits::Motion { .. }) if self.moves() => break,
-                Some(Waits::Homing(until)) if Instant::now() < until => break,
+                Some(Waits::Homing { until, .. }) if Instant::now() < until => break,
                 Some(waits) => {
                     match waits {
-                        Waits::Homing(_) => {
-                            (self.from, self.goal) = ([0.0; 3], [0.0; 3]);
-                            self.takes = Duration::ZERO;
+                        Waits::Homing { axes, .. } => {
+                            self.stand();
+                            for (at, _) in axes.iter().enumerate().filter(|(_, homed)| **homed) {
+                                (self.from[at], self.goal[at]) = (0.0, 0.0);
+                            }
                             self.board.homes_first = false;
                         }
                         Waits::Motion { reports: true } => self.report(says),

@@ -19,7 +19,7 @@ pub struct EmulatedAxis {
 pub struct EmulatedStage {
     /// Its axes.
     pub axes: Vec<EmulatedAxis>,
-    /// Whether they share one platform: the parts of the travel that are used may then sum to 1.5 at most.
+    /// Whether the first six share one platform: the parts of the travel that are used may then sum to 1.5 at most.
     pub coupled: bool,
     /// mm or deg a second, of every axis.
     pub velocity: f64,
@@ -32,10 +32,15 @@ pub struct EmulatedStage {
 impl EmulatedStage {
     /// A hexapod of 22.5 mm, 12.5 mm along Z, 10 degrees and 5 mm/s.
     pub fn hexapod() -> Self {
-        let axis = |(name, end): (&str, f64)| EmulatedAxis {
-            name: name.into(),
+        Self::hexapod_and(&[])
+    }
+
+    /// The same with more axes of their own on its controller: their names, and the end of their travel each way.
+    pub fn hexapod_and(more: &[(&str, f64)]) -> Self {
+        let axis = |(name, end): &(&str, f64)| EmulatedAxis {
+            name: (*name).into(),
             low: -end,
-            high: end,
+            high: *end,
         };
         let ends = [
             ("X", 22.5),
@@ -46,7 +51,7 @@ impl EmulatedStage {
             ("W", 10.0),
         ];
         Self {
-            axes: ends.map(axis).into(),
+            axes: ends.iter().chain(more).map(axis).collect(),
             coupled: true,
             velocity: 5.0,
             referenced: true,
@@ -83,8 +88,8 @@ impl Gcs2Emulator {
             pivot: [0.0; 3],
             began: Instant::now(),
             takes: Duration::ZERO,
-            referenced: stage.referenced,
-            homing_until: None,
+            referenced: vec![stage.referenced; n],
+            homing: None,
             error: 0,
             line: Vec::new(),
             obeys: Obeys::All,
@@ -131,8 +136,9 @@ pub struct Controller {
     pivot: [f64; 3],
     began: Instant,
     takes: Duration,
-    referenced: bool,
-    homing_until: Option<Instant>,
+    referenced: Vec<bool>,
+    /// Until when which axes are on a reference move.
+    homing: Option<(Instant, Vec<usize>)>,
     error: i32,
     line: Vec<u8>,
     obeys: Obeys,
@@ -155,13 +161,18 @@ impl Controller {
     }
 
     fn homing(&mut self) -> bool {
-        match self.homing_until {
-            Some(until) if Instant::now() < until => true,
-            Some(_) => {
-                self.homing_until = None;
-                self.referenced = true;
-                let n = self.goal.len();
-                (self.from, self.goal, self.takes) = (vec![0.0; n], vec![0.0; n], Duration::ZERO);
+        match self.homing.take() {
+            Some((until, axes)) if Instant::now() < until => {
+                self.homing = Some((until, axes));
+                true
+            }
+            Some((_, axes)) => {
+                let place = self.place();
+                (self.from, self.goal, self.takes) = (place.clone(), place, Duration::ZERO);
+                for at in axes {
+                    self.referenced[at] = true;
+                    (self.from[at], self.goal[at]) = (0.0, 0.0);
+                }
                 false
             }
             None => false,
@@ -172,8 +183,7 @@ impl Controller {
         let place = self.place();
         (self.from, self.goal, self.takes) = (place.clone(), place, Duration::ZERO);
         if self.homing() {
-            self.homing_until = None;
-            self.referenced = false;
+            self.homing = None;
         }
     }
 
@@ -218,7 +228,9 @@ impl Controller {
         let inside = |(axis, v): (&EmulatedAxis, &f64)| (axis.low..=axis.high).contains(v);
         let used = |(axis, v): (&EmulatedAxis, &f64)| v.abs() / axis.high.max(-axis.low);
         let axes = || self.stage.axes.iter().zip(goal);
-        axes().all(inside) && (!self.stage.coupled || axes().map(used).sum::<f64>() <= 1.5)
+        // What comes after the six axes of a platform stands alone.
+        let load: f64 = axes().take(6).map(used).sum();
+        axes().all(inside) && (!self.stage.coupled || load <= 1.5)
     }
 
     fn with(&self, pairs: &[(usize, f64)]) -> Vec<f64> {
@@ -273,7 +285,7 @@ impl Controller {
                 let value = |at: usize| match *command {
                     "POS?" => format!("{:.6}", place[at]),
                     "ONT?" => u8::from(still && !self.never_on_target).to_string(),
-                    "FRF?" => u8::from(self.referenced).to_string(),
+                    "FRF?" => u8::from(self.referenced[at]).to_string(),
                     "TMN?" => format!("{:.6}", self.stage.axes[at].low),
                     "TMX?" => format!("{:.6}", self.stage.axes[at].high),
                     _ => format!("{:.6}", self.velocities[at]),
@@ -291,7 +303,7 @@ impl Controller {
                     return;
                 };
                 let goal = self.with(&pairs);
-                if !self.referenced {
+                if pairs.iter().any(|(at, _)| !self.referenced[*at]) {
                     self.error = 5;
                 } else if self.reachable(&goal) {
                     self.move_to(goal);
@@ -300,10 +312,12 @@ impl Controller {
                 }
             }
             "FRF" => {
-                if self.chosen(rest).is_some() {
-                    self.referenced = false;
+                if let Some(axes) = self.chosen(rest) {
+                    for at in &axes {
+                        self.referenced[*at] = false;
+                    }
                     let wait = Duration::from_millis(self.stage.reference_ms);
-                    self.homing_until = Some(Instant::now() + wait);
+                    self.homing = Some((Instant::now() + wait, axes));
                 }
             }
             "STP" | "HLT" => {

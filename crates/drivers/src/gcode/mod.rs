@@ -7,5 +7,5 @@ pub mod codec;
 mod settings;
 mod stage;
 
-pub use settings::{GcodeAxis, GcodeSettings};
+pub use settings::{GcodeAxis, GcodeNosepiece, GcodeSettings};
 pub use stage::GcodeStage;

@@ -2,6 +2,7 @@
 
 use crate::gcode::codec;
 use crate::session::bad_setting;
+use crate::turret::{self, TurretPlace};
 use scopeservo_scope::{Axis, AxisInfo, Kinematics, Length, PositiveZ, ScopeError};
 use serde::Deserialize;
 use std::collections::HashSet;
@@ -24,20 +25,44 @@ pub struct GcodeAxis {
     pub repeatability_um: f64,
 }
 
-/// How a stage on a G-code board is set up.
+/// A nosepiece on one of the board's steppers.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GcodeNosepiece {
+    /// The board's letter for it. The position that the board reports (M114) must count its steps.
+    pub letter: char,
+    /// Steps for a degree, as the firmware counts them (M92).
+    pub steps_per_deg: f64,
+    /// Speed of every change.
+    pub speed_deg_per_s: f64,
+    /// Whether it has a switch that tells where it is; the first change then looks for it. `false`: it stood at 0 when the board
+    /// was switched on, and a picture must show that this is so.
+    pub needs_homing: bool,
+    /// An objective counts as in the beam when the axis stands this near to its place.
+    pub arrival_tolerance_deg: f64,
+    /// The objectives.
+    pub objectives: Vec<TurretPlace>,
+}
+
+/// How a stage on a G-code board is set up, or a nosepiece, or both.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GcodeSettings {
-    /// Which side moves.
-    pub kinematics: Kinematics,
-    /// What positive z does, on this microscope.
-    pub positive_z: PositiveZ,
-    /// The axes.
+    /// Which side moves. Needed where there are axes.
+    pub kinematics: Option<Kinematics>,
+    /// What positive z does, on this microscope. Needed where there are axes.
+    pub positive_z: Option<PositiveZ>,
+    /// The axes of the stage.
+    #[serde(default)]
     pub axes: Vec<GcodeAxis>,
-    /// Speed of every move.
+    /// The nosepiece.
+    pub nosepiece: Option<GcodeNosepiece>,
+    /// Speed of every move of the stage.
+    #[serde(default = "millimetre")]
     pub speed_um_per_s: f64,
     /// Whether positions mean nothing until the stage was homed. `false` for a stage without end switches, whose zero is
     /// where it stood when the board started.
+    #[serde(default = "yes")]
     pub needs_homing: bool,
     /// Whether to drive a board that does not report EMERGENCY_PARSER. A stop then waits until the board reads its next
     /// line, which it may not do while it homes.
@@ -69,6 +94,9 @@ pub struct GcodeSettings {
 fn yes() -> bool {
     true
 }
+fn millimetre() -> f64 {
+    1000.0
+}
 fn second() -> u64 {
     1000
 }
@@ -82,29 +110,63 @@ fn two_minutes() -> u64 {
     120_000
 }
 
-impl GcodeAxis {
-    /// SI metres of a number of steps.
-    pub(crate) fn si(&self, steps: i64) -> f64 {
-        steps as f64 / self.steps_per_mm * 1e-3
+/// A stepper, in the board's units: millimetres for an axis of the stage, degrees for the nosepiece.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Motor {
+    /// `None` for the nosepiece.
+    pub(crate) axis: Option<Axis>,
+    pub(crate) letter: char,
+    pub(crate) steps_per_unit: f64,
+}
+
+impl Motor {
+    /// The board's units of a number of steps.
+    pub(crate) fn units(&self, steps: i64) -> f64 {
+        steps as f64 / self.steps_per_unit
     }
-    /// The nearest number of steps to SI metres.
-    pub(crate) fn steps(&self, si: f64) -> i64 {
-        (si * 1e3 * self.steps_per_mm).round() as i64
+    /// The nearest number of steps to a place in the board's units.
+    pub(crate) fn steps(&self, units: f64) -> i64 {
+        (units * self.steps_per_unit).round() as i64
     }
 }
 
 impl GcodeSettings {
+    /// The steppers: those of the stage, then that of the nosepiece.
+    pub(crate) fn motors(&self) -> Vec<Motor> {
+        let axis = |a: &GcodeAxis| Motor {
+            axis: Some(a.axis),
+            letter: a.letter,
+            steps_per_unit: a.steps_per_mm,
+        };
+        let nosepiece = |n: &GcodeNosepiece| Motor {
+            axis: None,
+            letter: n.letter,
+            steps_per_unit: n.steps_per_deg,
+        };
+        let nosepiece = self.nosepiece.iter().map(nosepiece);
+        self.axes.iter().map(axis).chain(nosepiece).collect()
+    }
+
     /// The axes as the contract describes them, when everything makes sense.
     pub(crate) fn checked(&self) -> Result<Vec<AxisInfo>, ScopeError> {
-        if self.axes.is_empty() {
-            return Err(bad_setting("the settings name no axis"));
+        let motors = self.motors();
+        if motors.is_empty() {
+            return Err(bad_setting("the settings name no axis and no nosepiece"));
         }
-        let axes: HashSet<_> = self.axes.iter().map(|a| a.axis).collect();
-        let letters: HashSet<_> = self.axes.iter().map(|a| a.letter).collect();
-        if axes.len() != self.axes.len() || letters.len() != self.axes.len() {
+        if !self.axes.is_empty() && (self.kinematics.is_none() || self.positive_z.is_none()) {
+            return Err(bad_setting(
+                "a stage needs kinematics (which side moves) and positive_z (what larger z does)",
+            ));
+        }
+        let axes: HashSet<_> = motors.iter().map(|m| m.axis).collect();
+        let letters: HashSet<_> = motors.iter().map(|m| m.letter).collect();
+        if axes.len() != motors.len() || letters.len() != motors.len() {
             return Err(bad_setting(
                 "an axis or a letter stands in the settings twice",
             ));
+        }
+        if let Some(nosepiece) = &self.nosepiece {
+            check_nosepiece(nosepiece)?;
         }
         if !(self.speed_um_per_s.is_finite() && self.speed_um_per_s > 0.0) {
             return Err(bad_setting("speed_um_per_s must be positive"));
@@ -125,6 +187,24 @@ impl GcodeSettings {
         }
         self.axes.iter().map(info).collect()
     }
+}
+
+fn check_nosepiece(nosepiece: &GcodeNosepiece) -> Result<(), ScopeError> {
+    codec::axis(nosepiece.letter).map_err(|e| bad_setting(format!("the nosepiece: {e}")))?;
+    let positive = |v: f64| v.is_finite() && v > 0.0;
+    if !positive(nosepiece.steps_per_deg) || !positive(nosepiece.speed_deg_per_s) {
+        return Err(bad_setting(
+            "the nosepiece: steps_per_deg and speed_deg_per_s must be above 0",
+        ));
+    }
+    // No stepper comes nearer than half a step.
+    if nosepiece.arrival_tolerance_deg < 0.5 / nosepiece.steps_per_deg {
+        return Err(bad_setting(format!(
+            "the nosepiece: arrival_tolerance_deg must be at least half a step, {} deg",
+            0.5 / nosepiece.steps_per_deg
+        )));
+    }
+    turret::check(&nosepiece.objectives, nosepiece.arrival_tolerance_deg)
 }
 
 fn info(axis: &GcodeAxis) -> Result<AxisInfo, ScopeError> {
@@ -179,8 +259,9 @@ mod tests {
         let settings: GcodeSettings = serde_json::from_str(XY).unwrap();
         let axes = settings.checked().unwrap();
         assert!((axes[0].max - 0.05).abs() < 1e-12);
-        assert_eq!(settings.axes[0].steps(1e-3), 400);
-        assert!((settings.axes[0].si(-400) + 1e-3).abs() < 1e-15);
+        let x = &settings.motors()[0];
+        assert_eq!(x.steps(1.0), 400);
+        assert!((x.units(-400) + 1.0).abs() < 1e-12);
         assert!(settings.checksums && !settings.allow_queued_stop);
     }
 
@@ -200,6 +281,7 @@ mod tests {
                 "\"needs_homing\": true",
                 "\"needs_homing\": true, \"stop_timeout_ms\": 0",
             ),
+            ("\"positive_z\": \"apart\",", ""),
         ] {
             let settings: GcodeSettings = serde_json::from_str(&XY.replacen(from, to, 1)).unwrap();
             assert!(
@@ -207,5 +289,45 @@ mod tests {
                 "{to}"
             );
         }
+    }
+
+    #[test]
+    fn a_nosepiece_stands_beside_a_stage_or_alone() {
+        let alone = r#"{"nosepiece": {
+            "letter": "A", "steps_per_deg": 10, "speed_deg_per_s": 90, "needs_homing": true, "arrival_tolerance_deg": 0.2,
+            "objectives": [
+                {"id": "10x", "magnification": 100, "numerical_aperture": 0.25, "um_per_px": 2.2, "at_deg": 0},
+                {"id": "40x", "magnification": 400, "numerical_aperture": 0.65, "um_per_px": 0.5, "at_deg": 120}
+            ]
+        }}"#;
+        let read = |text: &str| serde_json::from_str::<GcodeSettings>(text).unwrap();
+        let settings = read(alone);
+        assert_eq!(settings.checked(), Ok(Vec::new()));
+        assert_eq!(settings.motors()[0].steps(120.0), 1200);
+        let both = GcodeSettings {
+            nosepiece: settings.nosepiece.clone(),
+            ..read(XY)
+        };
+        assert_eq!(both.checked().unwrap().len(), 2);
+        assert_eq!(both.motors().len(), 3);
+        assert!(read("{}").checked().is_err());
+        for (from, to) in [
+            ("\"letter\": \"A\"", "\"letter\": \"F\""),
+            ("\"steps_per_deg\": 10", "\"steps_per_deg\": 0"),
+            ("\"steps_per_deg\": 10", "\"steps_per_deg\": 1"),
+            ("\"speed_deg_per_s\": 90", "\"speed_deg_per_s\": -1"),
+            ("\"at_deg\": 120", "\"at_deg\": 0.3"),
+        ] {
+            assert!(
+                read(&alone.replacen(from, to, 1)).checked().is_err(),
+                "{to}"
+            );
+        }
+        let same = alone.replace("\"letter\": \"A\"", "\"letter\": \"X\"");
+        let same = GcodeSettings {
+            nosepiece: read(&same).nosepiece,
+            ..read(XY)
+        };
+        assert!(same.checked().is_err());
     }
 }

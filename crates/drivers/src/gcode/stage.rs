@@ -1,11 +1,14 @@
 //! The driver: the codec over a session, with what the stage is doing.
 
 use crate::gcode::codec::{self, Command, Line, Report};
-use crate::gcode::settings::{GcodeAxis, GcodeSettings};
+use crate::gcode::settings::{GcodeSettings, Motor};
 use crate::link::Transport;
 use crate::session::{Exchange, Session, StopBytes, bad_setting, device, lock};
-use scopeservo_scope::{Axis, Motion, ScopeError, Stage, StageInfo, StagePose};
-use std::sync::Mutex;
+use crate::turret::{Turns, Turret};
+use scopeservo_scope::{
+    Axis, Kinematics, Motion, PositiveZ, ScopeError, Stage, StageInfo, StagePose,
+};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// How often a damaged line is sent again.
@@ -27,8 +30,9 @@ enum Doing {
         seen: Vec<i64>,
         since: Instant,
     },
-    /// Homing: the line's number, answers to earlier stops that come first, the stops before it, and when to give up.
+    /// Homing: what, the line's number, answers to earlier stops that come first, the stops before it, and when to give up.
     Homing {
+        part: Part,
         number: Option<u32>,
         owed: u32,
         stops: u64,
@@ -38,7 +42,14 @@ enum Doing {
     Stopped,
 }
 
-/// A stage on a G-code board.
+/// What a motor belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Part {
+    Stage,
+    Nosepiece,
+}
+
+/// A stage on a G-code board, or a nosepiece, or both.
 ///
 /// A stop ends the step pulses at once. Fast and heavy axes can run on by some steps that the board does not count; where
 /// that can be, home again after a stop.
@@ -46,16 +57,32 @@ pub struct GcodeStage {
     session: Session,
     talk: Talk,
     info: StageInfo,
-    axes: Vec<GcodeAxis>,
+    motors: Vec<Motor>,
     feed_mm_per_min: f64,
     homing_timeout: Duration,
     stop_timeout: Duration,
     stall_timeout: Duration,
     /// Steppers that have not moved for so long stand still.
     still_window: Duration,
-    needs_homing: bool,
-    homed: Mutex<bool>,
+    settings: GcodeSettings,
+    homed: Mutex<Homed>,
     doing: Mutex<Doing>,
+}
+
+/// What was homed over this connection.
+#[derive(Debug, Clone, Copy, Default)]
+struct Homed {
+    stage: bool,
+    nosepiece: bool,
+}
+
+impl Homed {
+    fn of(&mut self, part: Part) -> &mut bool {
+        match part {
+            Part::Stage => &mut self.stage,
+            Part::Nosepiece => &mut self.nosepiece,
+        }
+    }
 }
 
 /// What a board said before its "ok".
@@ -231,56 +258,83 @@ impl GcodeStage {
         talk.ask(&mut ex, &Command::Millimetres, None)?;
         talk.ask(&mut ex, &Command::Absolute, None)?;
         let report = position(&talk, &mut ex)?;
-        for axis in &settings.axes {
-            let steps = steps_of(&ex, &report, axis)?;
-            let planned = report.planned_mm_of(axis.letter).unwrap_or(f64::NAN);
-            let counted = axis.si(steps) * 1e3;
-            let slack = PLAN_TOLERANCE_MM + 2.0 / axis.steps_per_mm;
+        let motors = settings.motors();
+        for motor in &motors {
+            let steps = steps_of(&ex, &report, motor)?;
+            let planned = report.planned_mm_of(motor.letter).unwrap_or(f64::NAN);
+            let counted = motor.units(steps);
+            let slack = PLAN_TOLERANCE_MM + 2.0 / motor.steps_per_unit;
             if (planned - counted).abs() <= slack {
                 continue;
             }
+            let (what, unit) = match motor.axis {
+                Some(axis) => (axis.to_string(), "mm"),
+                None => ("the nosepiece".into(), "deg"),
+            };
             return Err(bad_setting(format!(
-                "{}: the board says {planned} mm but its steppers are at {steps} steps, {counted:.3} mm with the \
-                 steps_per_mm of the settings; compare these with M92, and switch off levelling",
-                axis.axis
+                "{what}: the board says {planned} {unit} but its steppers are at {steps} steps, {counted:.3} {unit} with the \
+                 steps_per_{unit} of the settings; compare these with M92, and switch off levelling"
             )));
         }
         drop(ex);
-        let least = settings.axes.iter().map(|a| a.steps_per_mm);
-        let steps_per_s = least.fold(f64::INFINITY, f64::min) * settings.speed_um_per_s * 1e-3;
+        let least = motors.iter().map(|m| match m.axis {
+            Some(_) => m.steps_per_unit * settings.speed_um_per_s * 1e-3,
+            None => {
+                let nosepiece = settings.nosepiece.as_ref();
+                m.steps_per_unit * nosepiece.map_or(0.0, |n| n.speed_deg_per_s)
+            }
+        });
+        let steps_per_s = least.fold(f64::INFINITY, f64::min);
         Ok(Self {
             session,
             talk,
             info: StageInfo {
                 name,
                 axes,
-                kinematics: settings.kinematics,
-                positive_z: settings.positive_z,
+                // Of no meaning without axes.
+                kinematics: settings.kinematics.unwrap_or(Kinematics::SpecimenXyOnTop),
+                positive_z: settings.positive_z.unwrap_or(PositiveZ::Closer),
             },
-            axes: settings.axes.clone(),
+            motors,
             feed_mm_per_min: settings.speed_um_per_s * 60e-3,
             homing_timeout: ms(settings.homing_timeout_ms),
             stop_timeout: ms(settings.stop_timeout_ms),
             stall_timeout: ms(settings.stall_timeout_ms),
             still_window: Duration::from_secs_f64((8.0 / steps_per_s).clamp(0.005, 0.5)),
-            needs_homing: settings.needs_homing,
-            homed: Mutex::new(false),
+            settings: settings.clone(),
+            homed: Mutex::default(),
             doing: Mutex::new(Doing::Nothing),
         })
     }
 
-    /// Starts homing of the axes in the settings (G28) and returns. THE STAGE MOVES to its end switches: nothing may be
-    /// in its way. [`Stage::poll`] tells when it is over.
+    /// The nosepiece that the settings describe, if they do.
+    pub fn nosepiece(self: &Arc<Self>) -> Option<Turret> {
+        let nosepiece = self.settings.nosepiece.as_ref()?;
+        Some(Turret::new(
+            self.clone(),
+            &nosepiece.objectives,
+            nosepiece.arrival_tolerance_deg,
+            !nosepiece.needs_homing,
+        ))
+    }
+
+    /// Starts homing of the stage's axes (G28) and returns. THE STAGE MOVES to its end switches: nothing may be in its way.
+    /// [`Stage::poll`] tells when it is over.
     ///
     /// # Errors
     /// [`ScopeError::Busy`] while it moves, and as [`GcodeStage::connect`].
     pub fn home(&self) -> Result<(), ScopeError> {
+        self.home_part(Part::Stage)
+    }
+
+    fn home_part(&self, part: Part) -> Result<(), ScopeError> {
         let stops = self.session.stops();
         let mut ex = self.session.exchange()?;
         if self.poll_in(&mut ex)? == Motion::Moving {
             return Err(ScopeError::Busy { device: "stage" });
         }
-        let letters: Vec<char> = self.axes.iter().map(|a| a.letter).collect();
+        let all = self.motors.iter();
+        let letters: Vec<char> = all.filter(|m| m.part() == part).map(|m| m.letter).collect();
         let number = self.talk.next();
         let bytes = Command::Home(&letters).encode(number);
         let bytes = bytes.map_err(|e| ex.nonsense(e))?;
@@ -288,8 +342,9 @@ impl GcodeStage {
             self.talk.take_back();
             return Err(e);
         }
-        *lock(&self.homed) = false;
+        *lock(&self.homed).of(part) = false;
         *lock(&self.doing) = Doing::Homing {
+            part,
             number,
             owed: ex.take_owed(),
             stops,
@@ -305,12 +360,13 @@ impl GcodeStage {
     pub fn is_homed(&self) -> Result<bool, ScopeError> {
         let mut ex = self.session.exchange()?;
         self.homing_ended(&mut ex, GLANCE)?;
-        Ok(*lock(&self.homed))
+        Ok(*lock(&self.homed).of(Part::Stage))
     }
 
     /// Looks for the end of homing, if it homes. Returns whether it does not home any more.
     fn homing_ended(&self, ex: &mut Exchange<'_>, wait: Duration) -> Result<bool, ScopeError> {
         let Doing::Homing {
+            part,
             number,
             mut owed,
             stops,
@@ -330,7 +386,7 @@ impl GcodeStage {
                 }
                 Line::Ok => {
                     let stopped = self.session.stops() != stops;
-                    *lock(&self.homed) = !stopped;
+                    *lock(&self.homed).of(part) = !stopped;
                     *lock(&self.doing) = if stopped {
                         Doing::Stopped
                     } else {
@@ -364,10 +420,8 @@ impl GcodeStage {
 
     fn steps(&self, ex: &mut Exchange<'_>) -> Result<Vec<i64>, ScopeError> {
         let report = position(&self.talk, ex)?;
-        self.axes
-            .iter()
-            .map(|axis| steps_of(ex, &report, axis))
-            .collect()
+        let all = self.motors.iter();
+        all.map(|motor| steps_of(ex, &report, motor)).collect()
     }
 
     fn poll_in(&self, ex: &mut Exchange<'_>) -> Result<Motion, ScopeError> {
@@ -400,13 +454,13 @@ impl GcodeStage {
         Ok(Motion::Moving)
     }
 
-    /// The axes asked for, in the board's letters and units, inside the travel.
-    fn targets(&self, to: &StagePose) -> Result<Vec<(char, f64)>, ScopeError> {
+    /// The motors asked for and their places in the board's units, inside the travel.
+    fn targets(&self, to: &StagePose) -> Result<Vec<(usize, f64)>, ScopeError> {
         let mut targets = Vec::new();
         for axis in Axis::ALL {
             let Some(asked) = to.si(axis) else { continue };
             let none = ScopeError::NoSuchAxis { axis };
-            let set = self.axes.iter().find(|a| a.axis == axis);
+            let set = self.motors.iter().position(|m| m.axis == Some(axis));
             let (Some(set), Some(range)) = (set, self.info.axis(axis)) else {
                 return Err(none);
             };
@@ -421,16 +475,85 @@ impl GcodeStage {
                     max: axis.to_display(range.max),
                 });
             }
-            targets.push((set.letter, asked * 1e3));
+            targets.push((set, asked * 1e3));
         }
         Ok(targets)
     }
 
+    fn needs_homing(&self, part: Part) -> bool {
+        match part {
+            Part::Stage => self.settings.needs_homing,
+            Part::Nosepiece => {
+                let nosepiece = self.settings.nosepiece.as_ref();
+                nosepiece.is_some_and(|n| n.needs_homing)
+            }
+        }
+    }
+
+    fn knows_place(&self, part: Part) -> bool {
+        !self.needs_homing(part) || *lock(&self.homed).of(part)
+    }
+
     fn check_homed(&self) -> Result<(), ScopeError> {
-        if self.needs_homing && !*lock(&self.homed) {
+        if !self.knows_place(Part::Stage) {
             return Err(device(
                 "the stage was not homed over this connection and may not know where it is; \
                  see that nothing is in its way, then home it",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Starts a move of motors to places in the board's units.
+    fn start(&self, part: Part, targets: &[(usize, f64)], feed: f64) -> Result<(), ScopeError> {
+        let stops = self.session.stops();
+        let mut ex = self.session.exchange()?;
+        if self.poll_in(&mut ex)? == Motion::Moving {
+            return Err(ScopeError::Busy { device: "stage" });
+        }
+        if part == Part::Stage {
+            self.check_homed()?;
+        }
+        if targets.is_empty() {
+            return Ok(());
+        }
+        let mut goal = vec![None; self.motors.len()];
+        for (at, place) in targets {
+            goal[*at] = Some(self.motors[*at].steps(*place));
+        }
+        let seen = self.steps(&mut ex)?;
+        // Moving from here on, should the answer not come.
+        let before = std::mem::replace(
+            &mut *lock(&self.doing),
+            Doing::Moving {
+                goal,
+                seen,
+                since: Instant::now(),
+            },
+        );
+        let named = targets.iter().map(|(at, v)| (self.motors[*at].letter, *v));
+        let named: Vec<(char, f64)> = named.collect();
+        let go = Command::Move {
+            to_mm: &named,
+            feed_mm_per_min: feed,
+        };
+        if let Err(e) = self.talk.ask(&mut ex, &go, Some(stops)) {
+            *lock(&self.doing) = before;
+            return Err(e);
+        }
+        // Firmware clips to its own limits without a word.
+        let report = position(&self.talk, &mut ex)?;
+        let planned = |(letter, place): &(char, f64)| {
+            let there = report.planned_mm_of(*letter).unwrap_or(f64::NAN);
+            (there - place).abs() <= PLAN_TOLERANCE_MM
+        };
+        // A stop meanwhile has changed the plan.
+        if self.session.stops() == stops && !named.iter().all(planned) {
+            drop(ex);
+            self.stop()?;
+            return Err(device(
+                "the board shortened the move to limits of its own; it was stopped. \
+                 Bring the limits in the settings inside those of the firmware",
             ));
         }
         Ok(())
@@ -466,59 +589,17 @@ impl Stage for GcodeStage {
         }
         self.check_homed()?;
         let steps = self.steps(&mut ex)?;
-        let set = |pose: StagePose, (axis, steps): (&GcodeAxis, i64)| {
-            pose.with_si(axis.axis, axis.si(steps))
+        let set = |pose: StagePose, (motor, steps): (&Motor, i64)| match motor.axis {
+            Some(axis) => pose.with_si(axis, motor.units(steps) * 1e-3),
+            None => pose,
         };
-        Ok(self.axes.iter().zip(steps).fold(StagePose::default(), set))
+        let all = self.motors.iter().zip(steps);
+        Ok(all.fold(StagePose::default(), set))
     }
 
     fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
-        let stops = self.session.stops();
         let targets = self.targets(to)?;
-        let mut ex = self.session.exchange()?;
-        if self.poll_in(&mut ex)? == Motion::Moving {
-            return Err(ScopeError::Busy { device: "stage" });
-        }
-        self.check_homed()?;
-        if targets.is_empty() {
-            return Ok(());
-        }
-        let goal = self.axes.iter().map(|a| to.si(a.axis).map(|v| a.steps(v)));
-        let goal: Vec<_> = goal.collect();
-        let seen = self.steps(&mut ex)?;
-        // Moving from here on, should the answer not come.
-        let before = std::mem::replace(
-            &mut *lock(&self.doing),
-            Doing::Moving {
-                goal,
-                seen,
-                since: Instant::now(),
-            },
-        );
-        let go = Command::Move {
-            to_mm: &targets,
-            feed_mm_per_min: self.feed_mm_per_min,
-        };
-        if let Err(e) = self.talk.ask(&mut ex, &go, Some(stops)) {
-            *lock(&self.doing) = before;
-            return Err(e);
-        }
-        // Firmware clips to its own limits without a word.
-        let report = position(&self.talk, &mut ex)?;
-        let planned = |(letter, mm): &(char, f64)| {
-            let there = report.planned_mm_of(*letter).unwrap_or(f64::NAN);
-            (there - mm).abs() <= PLAN_TOLERANCE_MM
-        };
-        // A stop meanwhile has changed the plan.
-        if self.session.stops() == stops && !targets.iter().all(planned) {
-            drop(ex);
-            self.stop()?;
-            return Err(device(
-                "the board shortened the move to limits of its own; it was stopped. \
-                 Bring the limits in the settings inside those of the firmware",
-            ));
-        }
-        Ok(())
+        self.start(Part::Stage, &targets, self.feed_mm_per_min)
     }
 
     fn poll(&self) -> Result<Motion, ScopeError> {
@@ -546,6 +627,55 @@ impl Stage for GcodeStage {
         }
         Ok(())
     }
+}
+
+impl Motor {
+    fn part(&self) -> Part {
+        match self.axis {
+            Some(_) => Part::Stage,
+            None => Part::Nosepiece,
+        }
+    }
+}
+
+impl Turns for GcodeStage {
+    fn knows_place(&self) -> Result<bool, ScopeError> {
+        let mut ex = self.session.exchange()?;
+        self.homing_ended(&mut ex, GLANCE)?;
+        Ok(GcodeStage::knows_place(self, Part::Nosepiece))
+    }
+
+    fn start_finding(&self) -> Result<(), ScopeError> {
+        self.home_part(Part::Nosepiece)
+    }
+
+    fn place_deg(&self) -> Result<f64, ScopeError> {
+        let mut ex = self.session.exchange()?;
+        let steps = self.steps(&mut ex)?;
+        let mut all = self.motors.iter().zip(steps);
+        all.find(|(motor, _)| motor.part() == Part::Nosepiece)
+            .map(|(motor, steps)| motor.units(steps))
+            .ok_or_else(no_nosepiece)
+    }
+
+    fn start_turn(&self, to_deg: f64) -> Result<(), ScopeError> {
+        let nosepiece = self.settings.nosepiece.as_ref().ok_or_else(no_nosepiece)?;
+        // It stands behind the stage's motors.
+        let targets = [(self.motors.len() - 1, to_deg)];
+        self.start(Part::Nosepiece, &targets, nosepiece.speed_deg_per_s * 60.0)
+    }
+
+    fn poll_turn(&self) -> Result<Motion, ScopeError> {
+        self.poll()
+    }
+
+    fn stop_turn(&self) -> Result<(), ScopeError> {
+        self.stop()
+    }
+}
+
+fn no_nosepiece() -> ScopeError {
+    bad_setting("the settings of this board name no nosepiece")
 }
 
 impl Drop for GcodeStage {
@@ -590,10 +720,10 @@ fn position(talk: &Talk, ex: &mut Exchange<'_>) -> Result<Report, ScopeError> {
         .ok_or_else(|| ex.nonsense("no position came that can be read (M114)"))
 }
 
-fn steps_of(ex: &Exchange<'_>, report: &Report, axis: &GcodeAxis) -> Result<i64, ScopeError> {
+fn steps_of(ex: &Exchange<'_>, report: &Report, motor: &Motor) -> Result<i64, ScopeError> {
     report
-        .steps_of(axis.letter)
-        .ok_or_else(|| ex.nonsense(format!("the position (M114) has no {}", axis.letter)))
+        .steps_of(motor.letter)
+        .ok_or_else(|| ex.nonsense(format!("the position (M114) has no {}", motor.letter)))
 }
 
 #[cfg(test)]

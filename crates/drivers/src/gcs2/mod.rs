@@ -5,5 +5,5 @@ pub mod codec;
 mod settings;
 mod stage;
 
-pub use settings::{Gcs2Settings, LinearAxis, RotaryAxis};
+pub use settings::{Gcs2Nosepiece, Gcs2Settings, LinearAxis, RotaryAxis};
 pub use stage::Gcs2Stage;

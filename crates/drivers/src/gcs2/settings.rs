@@ -2,6 +2,7 @@
 
 use crate::gcs2::codec::AxisName;
 use crate::session::bad_setting;
+use crate::turret::{self, TurretPlace};
 use scopeservo_scope::{Angle, Axis, Kinematics, Length, PositiveZ, ScopeError};
 use serde::Deserialize;
 use std::collections::HashSet;
@@ -35,6 +36,18 @@ pub struct RotaryAxis {
     pub arrival_tolerance_deg: f64,
 }
 
+/// A nosepiece on one more axis of the controller, which counts it in degrees.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Gcs2Nosepiece {
+    /// The controller's name for the axis.
+    pub name: String,
+    /// An objective counts as in the beam when the controller reads an angle this near to its place.
+    pub arrival_tolerance_deg: f64,
+    /// The objectives.
+    pub objectives: Vec<TurretPlace>,
+}
+
 fn second() -> u64 {
     1000
 }
@@ -57,6 +70,8 @@ pub struct Gcs2Settings {
     /// The axes that turn.
     #[serde(default)]
     pub rotary: Vec<RotaryAxis>,
+    /// A nosepiece, which is none of the axes above.
+    pub nosepiece: Option<Gcs2Nosepiece>,
     /// Whether the axes share one platform, so that what one can reach depends on the others: a hexapod. The controller
     /// is then asked before every move.
     pub coupled: bool,
@@ -128,6 +143,7 @@ impl Gcs2Settings {
                     arrival_tolerance_deg: 10.0 * repeatability_deg,
                 })
                 .into(),
+            nosepiece: None,
             coupled: true,
             reply_timeout_ms: second(),
             stop_timeout_ms: second(),
@@ -177,6 +193,15 @@ impl Gcs2Settings {
             return Err(bad_setting(
                 "an axis or a name stands in the settings twice",
             ));
+        }
+        if let Some(nosepiece) = &self.nosepiece {
+            let name = AxisName::new(&nosepiece.name).map_err(|e| bad_setting(e.to_string()))?;
+            if names.contains(name.as_str()) {
+                return Err(bad_setting(format!(
+                    "the axis {name} stands in the settings twice: for the stage and for the nosepiece"
+                )));
+            }
+            turret::check(&nosepiece.objectives, nosepiece.arrival_tolerance_deg)?;
         }
         for (what, ms) in [
             ("reply_timeout_ms", self.reply_timeout_ms),

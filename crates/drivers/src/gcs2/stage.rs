@@ -1,11 +1,12 @@
 //! The driver: the codec over a session, with what the stage is doing.
 
 use crate::gcs2::codec::{self, AxisName, CodecError, Command};
-use crate::gcs2::settings::{AxisPlan, Gcs2Settings};
+use crate::gcs2::settings::{AxisPlan, Gcs2Nosepiece, Gcs2Settings};
 use crate::link::Transport;
 use crate::session::{Exchange, Session, StopBytes, bad_setting, device, lock};
+use crate::turret::{Turns, Turret};
 use scopeservo_scope::{Axis, AxisInfo, Length, Motion, ScopeError, Stage, StageInfo, StagePose};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// How often the axes are asked whether they stand still after a stop.
@@ -20,21 +21,44 @@ enum Doing {
     Nothing,
     /// On the way to a goal, and since when the axes stand still without being on target.
     Moving {
-        goal: StagePose,
+        part: Part,
+        goal: Vec<Goal>,
         still_since: Option<Instant>,
     },
     /// On a reference move.
-    Homing,
+    Homing(Part),
     /// Stopped on the way.
     Stopped,
 }
 
-/// A stage on a GCS 2 controller.
+/// What an axis belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Part {
+    Stage,
+    Nosepiece,
+}
+
+/// Where an axis goes, in the controller's units, and how near it counts as there.
+#[derive(Debug, Clone, PartialEq)]
+struct Goal {
+    name: AxisName,
+    to: f64,
+    tolerance: f64,
+}
+
+/// A nosepiece on an axis of the controller.
+struct Nosepiece {
+    name: AxisName,
+    settings: Gcs2Nosepiece,
+}
+
+/// A stage on a GCS 2 controller, and a nosepiece on another of its axes.
 pub struct Gcs2Stage {
     session: Session,
     info: StageInfo,
     plans: Vec<AxisPlan>,
     names: Vec<AxisName>,
+    nosepiece: Option<Nosepiece>,
     coupled: bool,
     stop_timeout: Duration,
     settle_timeout: Duration,
@@ -71,7 +95,14 @@ impl Gcs2Stage {
             .to_string();
         let lines = ask(&mut ex, &Command::Axes)?;
         let there = read(&ex, codec::decode_axes(&lines))?;
-        if let Some(missing) = names.iter().find(|n| !there.contains(n)) {
+        let nosepiece = match &settings.nosepiece {
+            Some(nosepiece) => {
+                Some(AxisName::new(&nosepiece.name).map_err(|e| bad_setting(e.to_string()))?)
+            }
+            None => None,
+        };
+        let mut all = names.iter().chain(&nosepiece);
+        if let Some(missing) = all.find(|n| !there.contains(n)) {
             let there: Vec<_> = there.iter().map(AxisName::as_str).collect();
             return Err(bad_setting(format!(
                 "the controller has no axis {missing}; it has {}",
@@ -97,9 +128,14 @@ impl Gcs2Stage {
                 repeatability: plan.repeatability_si,
             });
         }
+        let nosepiece = match (nosepiece, settings.nosepiece.clone()) {
+            (Some(name), Some(settings)) => Some(turning(&mut ex, name, settings)?),
+            _ => None,
+        };
         drop(ex);
         Ok(Self {
             session,
+            nosepiece,
             info: StageInfo {
                 name,
                 axes,
@@ -123,15 +159,40 @@ impl Gcs2Stage {
     /// [`ScopeError::Busy`] while it moves, [`ScopeError::Interrupted`] when it was stopped at once, and as
     /// [`Gcs2Stage::connect`].
     pub fn home(&self) -> Result<(), ScopeError> {
+        self.home_part(Part::Stage)
+    }
+
+    /// The nosepiece that the settings describe, if they do.
+    pub fn nosepiece(self: &Arc<Self>) -> Option<Turret> {
+        let Gcs2Nosepiece {
+            objectives,
+            arrival_tolerance_deg,
+            ..
+        } = &self.nosepiece.as_ref()?.settings;
+        let axis = self.clone();
+        Some(Turret::new(axis, objectives, *arrival_tolerance_deg, false))
+    }
+
+    fn names_of(&self, part: Part) -> &[AxisName] {
+        match (part, &self.nosepiece) {
+            (Part::Nosepiece, Some(nosepiece)) => std::slice::from_ref(&nosepiece.name),
+            (Part::Nosepiece, None) => &[],
+            (Part::Stage, _) => &self.names,
+        }
+    }
+
+    fn home_part(&self, part: Part) -> Result<(), ScopeError> {
         let stops = self.session.stops();
         let mut ex = self.session.exchange()?;
         if self.poll_in(&mut ex)? == Motion::Moving {
             return Err(ScopeError::Busy { device: "stage" });
         }
-        let bytes = read(&ex, Command::Reference(&self.names).encode())?;
+        let bytes = read(&ex, Command::Reference(self.names_of(part)).encode())?;
         ex.send_unless_stopped(&bytes, stops)?;
-        *lock(&self.homed) = false;
-        *lock(&self.doing) = Doing::Homing;
+        if part == Part::Stage {
+            *lock(&self.homed) = false;
+        }
+        *lock(&self.doing) = Doing::Homing(part);
         // A controller on a reference move may take no lines; how it began is asked when it does.
         if ready(&mut ex)? {
             let number = error_number(&mut ex)?;
@@ -152,7 +213,7 @@ impl Gcs2Stage {
         if self.is_homing() && self.poll_in(&mut ex)? == Motion::Moving {
             return Ok(false);
         }
-        self.referenced(&mut ex)
+        self.referenced(&mut ex, Part::Stage)
     }
 
     /// The point that the platform turns about.
@@ -247,7 +308,7 @@ impl Gcs2Stage {
     }
 
     fn is_homing(&self) -> bool {
-        *lock(&self.doing) == Doing::Homing
+        matches!(*lock(&self.doing), Doing::Homing(_))
     }
 
     fn exchange_unless_homing(&self) -> Result<Exchange<'_>, ScopeError> {
@@ -269,9 +330,12 @@ impl Gcs2Stage {
         }
     }
 
-    fn referenced(&self, ex: &mut Exchange<'_>) -> Result<bool, ScopeError> {
-        let homed = all_set(ex, &Command::Referenced(&self.names), &self.names)?;
-        *lock(&self.homed) = homed;
+    fn referenced(&self, ex: &mut Exchange<'_>, part: Part) -> Result<bool, ScopeError> {
+        let names = self.names_of(part);
+        let homed = all_set(ex, &Command::Referenced(names), names)?;
+        if part == Part::Stage {
+            *lock(&self.homed) = homed;
+        }
         Ok(homed)
     }
 
@@ -291,7 +355,7 @@ impl Gcs2Stage {
 
     fn poll_in(&self, ex: &mut Exchange<'_>) -> Result<Motion, ScopeError> {
         let doing = lock(&self.doing).clone();
-        if doing == Doing::Homing {
+        if let Doing::Homing(_) = doing {
             if !ready(ex)? {
                 return Ok(Motion::Moving);
             }
@@ -313,20 +377,21 @@ impl Gcs2Stage {
         let (ended, outcome) = match doing {
             Doing::Nothing => return Ok(Motion::Settled),
             Doing::Stopped => return Ok(Motion::Stopped),
-            Doing::Homing => (true, self.referenced(ex)?),
-            Doing::Moving { goal, still_since } => {
-                let on_target = all_set(ex, &Command::OnTarget(&self.names), &self.names)?;
+            Doing::Homing(part) => (true, self.referenced(ex, part)?),
+            Doing::Moving {
+                part,
+                goal,
+                still_since,
+            } => {
+                let names = self.names_of(part);
+                let on_target = all_set(ex, &Command::OnTarget(names), names)?;
                 let since = still_since.unwrap_or_else(Instant::now);
-                *lock(&self.doing) = Doing::Moving {
-                    goal,
-                    still_since: Some(since),
-                };
+                if let Doing::Moving { still_since, .. } = &mut *lock(&self.doing) {
+                    *still_since = Some(since);
+                }
                 let late = since.elapsed() > self.settle_timeout;
                 // Others can stop the controller too, and it then counts as on target where it stands.
-                (
-                    on_target || late,
-                    on_target && self.at(&goal, &self.poses_in(ex)?),
-                )
+                (on_target || late, on_target && at(ex, &goal)?)
             }
         };
         if !ended {
@@ -341,18 +406,8 @@ impl Gcs2Stage {
         Ok(motion)
     }
 
-    /// Whether a place read is the goal, within the tolerances.
-    fn at(&self, goal: &StagePose, place: &StagePose) -> bool {
-        self.plans.iter().all(|plan| {
-            let (Some(goal), Some(place)) = (goal.si(plan.axis), place.si(plan.axis)) else {
-                return true;
-            };
-            (goal - place).abs() <= plan.tolerance_si
-        })
-    }
-
     /// The request in the controller's names and units, inside the travel.
-    fn targets(&self, to: &StagePose) -> Result<Vec<(AxisName, f64)>, ScopeError> {
+    fn targets(&self, to: &StagePose) -> Result<Vec<Goal>, ScopeError> {
         let mut targets = Vec::new();
         for axis in Axis::ALL {
             let Some(asked) = to.si(axis) else { continue };
@@ -372,9 +427,56 @@ impl Gcs2Stage {
                     max: axis.to_display(range.max),
                 });
             }
-            targets.push((plan.name.clone(), plan.wire(asked)));
+            targets.push(Goal {
+                name: plan.name.clone(),
+                to: plan.wire(asked),
+                tolerance: plan.wire(plan.tolerance_si),
+            });
         }
         Ok(targets)
+    }
+
+    /// Starts a move of axes of one part.
+    fn start(&self, part: Part, goal: Vec<Goal>) -> Result<(), ScopeError> {
+        let stops = self.session.stops();
+        let mut ex = self.session.exchange()?;
+        if self.poll_in(&mut ex)? == Motion::Moving {
+            return Err(ScopeError::Busy { device: "stage" });
+        }
+        if !self.referenced(&mut ex, part)? {
+            return Err(not_homed());
+        }
+        if goal.is_empty() {
+            return Ok(());
+        }
+        let targets: Vec<_> = goal.iter().map(|g| (g.name.clone(), g.to)).collect();
+        if self.coupled && part == Part::Stage {
+            let lines = ask(&mut ex, &Command::CanReach(&targets))?;
+            if !read(&ex, codec::decode_reachable(&lines))? {
+                return Err(device(
+                    "the pose cannot be reached: what one axis can do depends on the others; nothing moved. \
+                     Move nearer to the middle of the travel",
+                ));
+            }
+        }
+        let bytes = read(&ex, Command::Move(&targets).encode())?;
+        ex.send_unless_stopped(&bytes, stops)?;
+        // Moving from here on, should the next answer not come.
+        *lock(&self.doing) = Doing::Moving {
+            part,
+            goal,
+            still_since: None,
+        };
+        let number = error_number(&mut ex)?;
+        if number != 0 {
+            *lock(&self.doing) = if number == STOPPED_BY_COMMAND {
+                Doing::Stopped
+            } else {
+                Doing::Nothing
+            };
+            return Err(refusal(number));
+        }
+        Ok(())
     }
 
     /// Waits until the axes stand still, and says whether they do.
@@ -402,51 +504,14 @@ impl Stage for Gcs2Stage {
         let mut ex = self.exchange_unless_homing()?;
         // An axis that does not know where it is reads zero.
         let known = *lock(&self.homed);
-        if !known && !self.referenced(&mut ex)? {
+        if !known && !self.referenced(&mut ex, Part::Stage)? {
             return Err(not_homed());
         }
         self.poses_in(&mut ex)
     }
 
     fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
-        let stops = self.session.stops();
-        let targets = self.targets(to)?;
-        let mut ex = self.session.exchange()?;
-        if self.poll_in(&mut ex)? == Motion::Moving {
-            return Err(ScopeError::Busy { device: "stage" });
-        }
-        if !self.referenced(&mut ex)? {
-            return Err(not_homed());
-        }
-        if targets.is_empty() {
-            return Ok(());
-        }
-        if self.coupled {
-            let lines = ask(&mut ex, &Command::CanReach(&targets))?;
-            if !read(&ex, codec::decode_reachable(&lines))? {
-                return Err(device(
-                    "the pose cannot be reached: what one axis can do depends on the others; nothing moved. \
-                     Move nearer to the middle of the travel",
-                ));
-            }
-        }
-        let bytes = read(&ex, Command::Move(&targets).encode())?;
-        ex.send_unless_stopped(&bytes, stops)?;
-        // Moving from here on, should the next answer not come.
-        *lock(&self.doing) = Doing::Moving {
-            goal: *to,
-            still_since: None,
-        };
-        let number = error_number(&mut ex)?;
-        if number != 0 {
-            *lock(&self.doing) = if number == STOPPED_BY_COMMAND {
-                Doing::Stopped
-            } else {
-                Doing::Nothing
-            };
-            return Err(refusal(number));
-        }
-        Ok(())
+        self.start(Part::Stage, self.targets(to)?)
     }
 
     fn poll(&self) -> Result<Motion, ScopeError> {
@@ -475,9 +540,79 @@ impl Stage for Gcs2Stage {
     }
 }
 
+impl Turns for Gcs2Stage {
+    fn knows_place(&self) -> Result<bool, ScopeError> {
+        let mut ex = self.session.exchange()?;
+        if self.is_homing() && self.poll_in(&mut ex)? == Motion::Moving {
+            return Ok(false);
+        }
+        self.referenced(&mut ex, Part::Nosepiece)
+    }
+
+    fn start_finding(&self) -> Result<(), ScopeError> {
+        self.home_part(Part::Nosepiece)
+    }
+
+    fn place_deg(&self) -> Result<f64, ScopeError> {
+        let mut ex = self.exchange_unless_homing()?;
+        let names = self.names_of(Part::Nosepiece);
+        let at = values(&mut ex, &Command::Positions(names), names)?;
+        at.first().copied().ok_or_else(no_nosepiece)
+    }
+
+    fn start_turn(&self, to_deg: f64) -> Result<(), ScopeError> {
+        let nosepiece = self.nosepiece.as_ref().ok_or_else(no_nosepiece)?;
+        let goal = Goal {
+            name: nosepiece.name.clone(),
+            to: to_deg,
+            tolerance: nosepiece.settings.arrival_tolerance_deg,
+        };
+        self.start(Part::Nosepiece, vec![goal])
+    }
+
+    fn poll_turn(&self) -> Result<Motion, ScopeError> {
+        self.poll()
+    }
+
+    fn stop_turn(&self) -> Result<(), ScopeError> {
+        self.stop()
+    }
+}
+
+fn no_nosepiece() -> ScopeError {
+    bad_setting("the settings of this controller name no nosepiece")
+}
+
+/// A nosepiece whose places all lie within the travel of its axis.
+fn turning(
+    ex: &mut Exchange<'_>,
+    name: AxisName,
+    settings: Gcs2Nosepiece,
+) -> Result<Nosepiece, ScopeError> {
+    let names = [name.clone()];
+    let low = values(ex, &Command::LowerEnds(&names), &names)?;
+    let high = values(ex, &Command::UpperEnds(&names), &names)?;
+    let within = |deg: f64| (low[0]..=high[0]).contains(&deg);
+    match settings.objectives.iter().find(|o| !within(o.at_deg)) {
+        Some(outside) => Err(bad_setting(format!(
+            "{} stands at {} deg, and the axis {name} goes from {} to {} deg",
+            outside.id, outside.at_deg, low[0], high[0]
+        ))),
+        None => Ok(Nosepiece { name, settings }),
+    }
+}
+
+/// Whether axes stand where they were sent, within the tolerances.
+fn at(ex: &mut Exchange<'_>, goal: &[Goal]) -> Result<bool, ScopeError> {
+    let names: Vec<AxisName> = goal.iter().map(|g| g.name.clone()).collect();
+    let there = values(ex, &Command::Positions(&names), &names)?;
+    let near = |(goal, there): (&Goal, f64)| (goal.to - there).abs() <= goal.tolerance;
+    Ok(goal.iter().zip(there).all(near))
+}
+
 impl Drop for Gcs2Stage {
     fn drop(&mut self) {
-        let moving = matches!(*lock(&self.doing), Doing::Moving { .. } | Doing::Homing);
+        let moving = matches!(*lock(&self.doing), Doing::Moving { .. } | Doing::Homing(_));
         self.session.abandon(moving);
     }
 }

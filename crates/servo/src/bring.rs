@@ -1,0 +1,117 @@
+//! An objective brought into the beam, into focus, and, where only somebody's word tells which one is there, shown by a picture to
+//! be the one.
+
+use crate::event::tell;
+use crate::procedure::{Procedure, Progress};
+use crate::{
+    Event, Focus, FocusOptions, FocusResult, Identify, Phase, ServoError, Sink, VisionOptions,
+};
+use scopeservo_scope::{Instrument, ObjectiveId};
+use serde::{Deserialize, Serialize};
+
+/// So often somebody is asked again who brought another objective into the beam.
+const MISTAKES: u8 = 2;
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum State {
+    Switch,
+    Focus(Box<Focus>),
+    Identify(Box<Identify>),
+}
+
+/// Changing, focusing and looking as a step machine. Its output is the focus that was found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Bring {
+    objective: ObjectiveId,
+    /// `None`: the view is in focus, or somebody focuses by hand.
+    focus: Option<FocusOptions>,
+    vision: VisionOptions,
+    state: State,
+    found: Option<FocusResult>,
+    mistakes: u8,
+}
+
+impl Bring {
+    /// `focus`: `None` to leave the height as the change left it.
+    pub fn new(objective: ObjectiveId, focus: Option<FocusOptions>, vision: VisionOptions) -> Self {
+        Self {
+            objective,
+            focus,
+            vision,
+            state: State::Switch,
+            found: None,
+            mistakes: 0,
+        }
+    }
+
+    fn enter(&self, scope: &Instrument, sink: &mut dyn Sink, phase: Phase) {
+        let objective = self.objective.clone();
+        tell(scope, sink, Event::PhaseStarted { phase, objective });
+    }
+
+    /// The end, unless a picture has to show which objective is there.
+    fn focused(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Progress<Option<FocusResult>> {
+        if !scope.gate().objective_is_unproven() {
+            return Progress::Done(self.found);
+        }
+        self.enter(scope, sink, Phase::Identify);
+        let identify = Identify::new(self.objective.clone(), self.vision.clone());
+        self.state = State::Identify(Box::new(identify));
+        Progress::Continue
+    }
+}
+
+impl Procedure for Bring {
+    type Output = Option<FocusResult>;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Option<FocusResult>>, ServoError> {
+        match &mut self.state {
+            State::Switch => {
+                self.enter(scope, sink, Phase::Switch);
+                scope.select_objective(&self.objective)?;
+                let Some(options) = self.focus.clone() else {
+                    return Ok(self.focused(scope, sink));
+                };
+                let focus = Focus::new(scope.objective(&self.objective)?.clone(), options);
+                self.enter(scope, sink, Phase::Focus);
+                self.state = State::Focus(Box::new(focus));
+            }
+            State::Focus(focus) => {
+                if let Progress::Done(result) = focus.step(scope, sink)? {
+                    self.found = Some(result);
+                    let objective = self.objective.clone();
+                    tell(scope, sink, Event::Focused { objective, result });
+                    return Ok(self.focused(scope, sink));
+                }
+            }
+            State::Identify(identify) => {
+                if let Progress::Done(identity) = identify.step(scope, sink)? {
+                    if identity.as_told {
+                        return Ok(Progress::Done(self.found));
+                    }
+                    // What was found in focus was with another objective.
+                    scope.forget_focus(&self.objective);
+                    if !scope.gate().disprove_objective() || self.mistakes == MISTAKES {
+                        return Err(ServoError::WrongObjective {
+                            told: self.objective.clone(),
+                            looks_like: identity.looks_like,
+                            um_per_px: identity.um_per_px,
+                        });
+                    }
+                    self.mistakes += 1;
+                    self.state = State::Switch;
+                }
+            }
+        }
+        Ok(Progress::Continue)
+    }
+}

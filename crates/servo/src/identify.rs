@@ -1,0 +1,213 @@
+//! Which objective is in the beam, asked of the picture: where only somebody's word tells, a small move of the stage shows how many
+//! micrometres a pixel has.
+
+use crate::event::tell;
+use crate::kinematics::PlanarPose;
+use crate::procedure::{Procedure, Progress};
+use crate::vision::{centre_px, features, grab};
+use crate::{Event, FrameRole, ServoError, Sink, VisionOptions};
+use scopeservo_geometry::Vec2;
+use scopeservo_registration::{NotFound, Prior, RotationPrior, ScalePrior, register};
+use scopeservo_scope::{Axis, Instrument, Objective, ObjectiveId, ScopeError};
+use serde::{Deserialize, Serialize};
+
+/// The move, as a share of the smallest field that any objective of the instrument has: it stays in the field whichever is in.
+const SHARE: f64 = 0.2;
+/// The move is halved at most so often when the views are not found.
+const HALVINGS: u8 = 2;
+/// A shift below this is not told from dirt on the camera, px.
+const LEAST_SHIFT_PX: f64 = 2.0;
+/// Measured over nominal um per pixel may be this, or one over this, at most: as for a calibration.
+const NOMINAL_FACTOR: f64 = 1.5;
+/// Objectives whose scales are nearer than this to each other look the same.
+const ALIKE: f64 = 1.15;
+
+/// What the picture tells.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Identity {
+    /// Measured um per pixel.
+    pub um_per_px: f64,
+    /// The objective that this fits; `None` when it fits none.
+    pub looks_like: Option<ObjectiveId>,
+    /// Whether it is the one that is said to be there, as far as the scale tells.
+    pub as_told: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum State {
+    Begin,
+    Look { halvings: u8 },
+}
+
+/// The check as a step machine: three moves and two views per step. The view must be in focus.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Identify {
+    objective: ObjectiveId,
+    vision: VisionOptions,
+    state: State,
+    home: Option<PlanarPose>,
+}
+
+impl Identify {
+    /// A check that `objective` is in the beam.
+    pub fn new(objective: ObjectiveId, vision: VisionOptions) -> Self {
+        Self {
+            objective,
+            vision,
+            state: State::Begin,
+            home: None,
+        }
+    }
+
+    /// Moves twice by `step_m` along `along`, and sees how far the second move, which takes up no play, shifts the view:
+    /// um per pixel.
+    fn look(
+        &self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        home: &PlanarPose,
+        along: Vec2,
+        step_m: f64,
+    ) -> Result<Result<f64, NotFound>, ServoError> {
+        let mut seen = Vec::new();
+        for k in [1.0, 2.0] {
+            let pose = PlanarPose {
+                x_m: [0, 1].map(|i| home.x_m[i] + k * step_m * along[i]),
+                ..*home
+            };
+            let at = scope.move_to(&pose.request(&scope.gate().position()?))?;
+            let frame = grab(scope, sink, FrameRole::Identify, &self.objective)?;
+            let centre = centre_px(frame.width, frame.height);
+            let found = features(&frame, &self.vision.view)?;
+            seen.push((PlanarPose::from(&at).x_m, centre, found));
+        }
+        let [(a, centre, first), (b, _, second)] = &seen[..] else {
+            return Err(ServoError::BadOption("two views were taken".into()));
+        };
+        let prior = Prior {
+            scale: Some(ScalePrior {
+                ratio: 1.0,
+                tolerance: 0.03,
+            }),
+            rotation: Some(RotationPrior {
+                angle_rad: 0.0,
+                tolerance_rad: 0.05,
+            }),
+        };
+        let estimate = match register(second, first, &prior, &self.vision.registration).outcome {
+            Ok(estimate) => estimate,
+            Err(why) => return Ok(Err(why)),
+        };
+        let shift = estimate.target_from_view.recentred(*centre, *centre).offset;
+        let moved_um = 1e6 * f64::hypot(b[0] - a[0], b[1] - a[1]);
+        Ok(Ok(moved_um / f64::hypot(shift[0], shift[1])))
+    }
+
+    /// The objective whose nominal scale is nearest, if one is near, and whether that may be the one that was told.
+    fn judge(&self, scope: &Instrument, um_per_px: f64) -> Identity {
+        let off = |o: &Objective| (um_per_px / o.nominal_um_per_px).ln().abs();
+        let all = scope.gate().objectives();
+        let nearest = all
+            .iter()
+            .filter(|o| off(o) <= NOMINAL_FACTOR.ln())
+            .min_by(|a, b| off(a).total_cmp(&off(b)));
+        let told = all.iter().find(|o| o.id == self.objective);
+        let as_told = match (nearest, told) {
+            (Some(nearest), Some(told)) => {
+                let apart = (nearest.nominal_um_per_px / told.nominal_um_per_px).ln();
+                nearest.id == told.id || apart.abs() <= ALIKE.ln()
+            }
+            _ => false,
+        };
+        Identity {
+            um_per_px,
+            looks_like: match as_told {
+                true => Some(self.objective.clone()),
+                false => nearest.map(|o| o.id.clone()),
+            },
+            as_told,
+        }
+    }
+}
+
+/// The direction with the most room, and how much: towards the farther end of x or y.
+fn room(scope: &Instrument, home: &PlanarPose) -> Option<(Vec2, f64)> {
+    let ranges = scope.gate().ranges().iter();
+    let rooms = ranges.filter_map(|r| {
+        let (i, unit) = match r.axis {
+            Axis::X => (0, [1.0, 0.0]),
+            Axis::Y => (1, [0.0, 1.0]),
+            _ => return None,
+        };
+        let (up, down) = (r.max - home.x_m[i], home.x_m[i] - r.min);
+        Some(match up >= down {
+            true => (unit, up),
+            false => (unit.map(|v: f64| -v), down),
+        })
+    });
+    rooms.max_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+impl Procedure for Identify {
+    type Output = Identity;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Identity>, ServoError> {
+        let halvings = match self.state {
+            State::Begin => {
+                self.home = Some(PlanarPose::from(&scope.gate().position()?));
+                self.state = State::Look { halvings: 0 };
+                return Ok(Progress::Continue);
+            }
+            State::Look { halvings } => halvings,
+        };
+        let home = self.home.ok_or_else(|| {
+            ServoError::BadOption("a stored check has no place to go back to; start it anew".into())
+        })?;
+        let info = scope.camera().info();
+        let side_px = info.width.min(info.height) as f64;
+        let all = scope.gate().objectives().iter();
+        let finest = all.fold(f64::INFINITY, |f, o| f.min(o.nominal_um_per_px));
+        let step_m = SHARE * side_px * finest * 1e-6 / f64::from(1u32 << halvings);
+        let (along, room_m) = room(scope, &home).ok_or(ScopeError::NoSuchAxis { axis: Axis::X })?;
+        let step_m = step_m.min(room_m / 2.0);
+        let looked = self.look(scope, sink, &home, along, step_m)?;
+        scope.move_to(&home.request(&scope.gate().position()?))?;
+        let um_per_px = match looked {
+            Ok(um_per_px) if step_m * 1e6 >= LEAST_SHIFT_PX * um_per_px => um_per_px,
+            Ok(_) => {
+                return Err(ServoError::PictureStays {
+                    objective: self.objective.clone(),
+                    moved_um: step_m * 1e6,
+                });
+            }
+            Err(_) if halvings < HALVINGS => {
+                self.state = State::Look {
+                    halvings: halvings + 1,
+                };
+                return Ok(Progress::Continue);
+            }
+            Err(reason) => {
+                return Err(ServoError::ObjectiveUnclear {
+                    objective: self.objective.clone(),
+                    reason,
+                });
+            }
+        };
+        let identity = self.judge(scope, um_per_px);
+        match identity.as_told {
+            true => scope.gate().prove_objective(),
+            false => {}
+        }
+        let event = Event::Identified {
+            objective: self.objective.clone(),
+            identity: identity.clone(),
+        };
+        tell(scope, sink, event);
+        Ok(Progress::Done(identity))
+    }
+}
