@@ -1,12 +1,14 @@
 //! Our own drivers as the rest of the program uses them: the conformance suite, and the motion gate with random commands and
 //! faults, against the emulators.
 
+mod common;
+
+use common::tcp;
 use scopeservo_drivers::emulator::gcode::{EmulatedBoard, GcodeEmulator};
 use scopeservo_drivers::emulator::gcs2::{EmulatedStage, Gcs2Emulator};
 use scopeservo_drivers::emulator::sangaboard::{EmulatedSanga, SangaEmulator};
 use scopeservo_drivers::gcode::{GcodeAxis, GcodeSettings, GcodeStage};
 use scopeservo_drivers::gcs2::{Gcs2Settings, Gcs2Stage};
-use scopeservo_drivers::link::Tcp;
 use scopeservo_drivers::sangaboard::{SangaSettings, SangaStage};
 use scopeservo_scope::{
     Axis, AxisRange, Camera, CameraInfo, CancelToken, ChangeRule, Channels, Frame, Instrument,
@@ -15,10 +17,6 @@ use scopeservo_scope::{
 };
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
-
-fn tcp(address: &str) -> Box<Tcp> {
-    Box::new(Tcp::connect(address, Duration::from_secs(2)).unwrap())
-}
 
 /// Stands where a stage driver has no camera.
 struct NoCamera(CameraInfo);
