@@ -280,6 +280,19 @@ fn damaged_lines_are_sent_again_and_obeyed_once() {
 }
 
 #[test]
+fn a_first_line_that_arrives_damaged_is_sent_again_to_a_board_that_has_counted_before() {
+    let (emulator, stage) = plain();
+    stage.start_move(&pose(Axis::X, 1e-3)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+    drop(stage);
+    emulator.damage_lines(2);
+    let stage = connect(&emulator, &settings()).unwrap();
+    stage.start_move(&pose(Axis::X, 0.0)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+    assert_eq!(emulator.truth()[0], 0.0);
+}
+
+#[test]
 fn a_command_to_home_that_arrives_damaged_is_told_and_can_be_repeated() {
     let (_emulator, stage) = plain();
     _emulator.damage_lines(1);
