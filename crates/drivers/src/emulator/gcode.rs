@@ -80,6 +80,10 @@ impl GcodeEmulator {
     pub fn truth(&self) -> [f64; 3] {
         self.device().place()
     }
+    /// Whether it really moves.
+    pub fn moves(&self) -> bool {
+        self.device().moves()
+    }
     /// Damages so many of the numbered lines that come next.
     pub fn damage_lines(&self, lines: u32) {
         self.device().damage = lines;
