@@ -1,10 +1,12 @@
 //! The G-code driver against the emulated board, over TCP.
 
+mod common;
+
+use common::{Bench, detail, is_device, pose, tcp, wait};
 use scopeservo_drivers::emulator::Fault;
-use scopeservo_drivers::emulator::gcode::{EmulatedBoard, GcodeEmulator};
+use scopeservo_drivers::emulator::gcode::{Board, EmulatedBoard, GcodeEmulator};
 use scopeservo_drivers::gcode::{GcodeAxis, GcodeSettings, GcodeStage};
-use scopeservo_drivers::link::Tcp;
-use scopeservo_scope::{Axis, Kinematics, Motion, PositiveZ, ScopeError, Stage, StagePose};
+use scopeservo_scope::{Axis, Kinematics, Motion, PositiveZ, ScopeError, Stage};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -38,8 +40,7 @@ fn settings() -> GcodeSettings {
 }
 
 fn connect(emulator: &GcodeEmulator, settings: &GcodeSettings) -> Result<GcodeStage, ScopeError> {
-    let tcp = Tcp::connect(&emulator.address(), Duration::from_secs(2)).unwrap();
-    GcodeStage::connect(Box::new(tcp), settings)
+    GcodeStage::connect(tcp(&emulator.address()), settings)
 }
 
 fn start(
@@ -59,25 +60,13 @@ fn plain() -> (GcodeEmulator, GcodeStage) {
     (emulator, stage.unwrap())
 }
 
-fn pose(axis: Axis, si: f64) -> StagePose {
-    StagePose::default().with_si(axis, si)
-}
-
-fn wait(stage: &impl Stage) -> Motion {
-    let start = Instant::now();
-    loop {
-        match stage.poll().unwrap() {
-            Motion::Moving => assert!(start.elapsed() < Duration::from_secs(10), "it never ends"),
-            ended => return ended,
-        }
-        thread::sleep(Duration::from_millis(2));
-    }
-}
-
-fn detail(error: ScopeError) -> String {
-    match error {
-        ScopeError::Device { detail, .. } => detail,
-        other => panic!("{other:?}"),
+fn bench() -> Bench<Board, GcodeStage> {
+    let (emulator, stage) = plain();
+    Bench {
+        emulator,
+        stage,
+        truth: |e| e.truth().map(|mm| mm * 1e-3).into(),
+        far: 40e-3,
     }
 }
 
@@ -176,39 +165,11 @@ fn a_second_move_is_refused_while_one_runs() {
 
 #[test]
 fn stops_on_the_way_are_quick_while_another_thread_polls() {
-    let (emulator, stage) = plain();
-    let mut took = Vec::new();
-    let mut there = 20e-3;
-    for _ in 0..50 {
-        stage.start_move(&pose(Axis::X, there)).unwrap();
-        there = -there;
-        let ended = thread::scope(|s| {
-            let polls = s.spawn(|| wait(&stage));
-            thread::sleep(Duration::from_millis(5));
-            let start = Instant::now();
-            stage.stop().unwrap();
-            took.push(start.elapsed());
-            polls.join().unwrap()
-        });
-        assert_eq!(ended, Motion::Stopped);
-        let at = emulator.truth();
-        thread::sleep(Duration::from_millis(1));
-        assert_eq!(emulator.truth(), at, "it creeps");
-    }
-    took.sort();
-    let mut err = std::io::stderr();
-    std::io::Write::write_fmt(
-        &mut err,
-        format_args!(
-            "stop: median {:?}, slowest of 50 {:?}\n",
-            took[24], took[49]
-        ),
-    )
-    .unwrap();
-    assert!(took[49] < Duration::from_millis(250), "{:?}", took[49]);
+    let bench = bench();
+    bench.stops_quickly();
     // The answers to all stops are accounted for.
-    stage.start_move(&pose(Axis::X, 0.0)).unwrap();
-    assert_eq!(wait(&stage), Motion::Settled);
+    bench.stage.start_move(&pose(Axis::X, 0.0)).unwrap();
+    assert_eq!(wait(&bench.stage), Motion::Settled);
 }
 
 #[test]
@@ -317,6 +278,19 @@ fn damaged_lines_are_sent_again_and_obeyed_once() {
     let why = detail(stage.start_move(&pose(Axis::X, 0.0)).unwrap_err());
     assert!(why.contains("damaged"), "{why}");
     assert_eq!(emulator.truth()[0], 1.0);
+}
+
+#[test]
+fn a_first_line_that_arrives_damaged_is_sent_again_to_a_board_that_has_counted_before() {
+    let (emulator, stage) = plain();
+    stage.start_move(&pose(Axis::X, 1e-3)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+    drop(stage);
+    emulator.damage_lines(2);
+    let stage = connect(&emulator, &settings()).unwrap();
+    stage.start_move(&pose(Axis::X, 0.0)).unwrap();
+    assert_eq!(wait(&stage), Motion::Settled);
+    assert_eq!(emulator.truth()[0], 0.0);
 }
 
 #[test]
@@ -448,41 +422,8 @@ fn a_board_that_starts_when_the_port_is_opened_is_waited_for() {
     });
 }
 
-/// As in the tests of GCS 2.
 fn fails(fault: Fault, first: fn(&ScopeError) -> bool, why: &str, hears: bool) {
-    let (emulator, stage) = plain();
-    stage.start_move(&pose(Axis::X, 40e-3)).unwrap();
-    emulator.set_fault(fault);
-    let start = Instant::now();
-    let error = stage.position().unwrap_err();
-    let took = start.elapsed();
-    assert!(
-        took < Duration::from_millis(300 + 500),
-        "{fault:?} {took:?}"
-    );
-    assert!(first(&error), "{fault:?} {error:?}");
-    for later in [
-        stage.position().map(|_| ()),
-        stage.poll().map(|_| ()),
-        stage.start_move(&pose(Axis::X, 0.0)),
-        stage.stop(),
-        stage.home(),
-    ] {
-        let text = detail(later.unwrap_err());
-        assert!(text.contains("closed because"), "{fault:?} {text}");
-        assert!(text.contains(why), "{fault:?} {text}");
-    }
-    if hears {
-        thread::sleep(Duration::from_millis(50));
-        let at = emulator.truth()[0];
-        thread::sleep(Duration::from_millis(20));
-        assert_eq!(emulator.truth()[0], at, "{fault:?} left it moving");
-        assert!(at < 39.0);
-    }
-}
-
-fn is_device(error: &ScopeError) -> bool {
-    matches!(error, ScopeError::Device { .. })
+    bench().fails(GcodeStage::home, fault, first, why, hears);
 }
 
 #[test]
@@ -527,12 +468,5 @@ fn a_disconnection_on_the_way_is_told() {
 
 #[test]
 fn a_driver_that_ends_on_the_way_stops_the_stage() {
-    let (emulator, stage) = plain();
-    stage.start_move(&pose(Axis::X, 40e-3)).unwrap();
-    drop(stage);
-    thread::sleep(Duration::from_millis(50));
-    let at = emulator.truth();
-    thread::sleep(Duration::from_millis(20));
-    assert_eq!(emulator.truth(), at);
-    assert!(at[0] < 39.0);
+    bench().ends();
 }

@@ -1,7 +1,12 @@
 //! The GCS 2 driver against the emulated controller, over TCP.
 
+mod common;
+
+use common::{Bench, detail, is_device, pose, tcp, wait};
 use scopeservo_drivers::emulator::Fault;
-use scopeservo_drivers::emulator::gcs2::{EmulatedAxis, EmulatedStage, Gcs2Emulator, Obeys};
+use scopeservo_drivers::emulator::gcs2::{
+    Controller, EmulatedAxis, EmulatedStage, Gcs2Emulator, Obeys,
+};
 use scopeservo_drivers::gcs2::{Gcs2Settings, Gcs2Stage, LinearAxis};
 use scopeservo_drivers::link::{LinkError, Tcp, Transport};
 use scopeservo_scope::{Axis, Kinematics, Length, Motion, PositiveZ, ScopeError, Stage, StagePose};
@@ -19,8 +24,7 @@ fn settings() -> Gcs2Settings {
 }
 
 fn connect(emulator: &Gcs2Emulator, settings: &Gcs2Settings) -> Result<Gcs2Stage, ScopeError> {
-    let tcp = Tcp::connect(&emulator.address(), Duration::from_secs(2)).unwrap();
-    Gcs2Stage::connect(Box::new(tcp), settings)
+    Gcs2Stage::connect(tcp(&emulator.address()), settings)
 }
 
 fn hexapod_with(change: impl FnOnce(&mut EmulatedStage)) -> (Gcs2Emulator, Gcs2Stage) {
@@ -35,25 +39,13 @@ fn hexapod() -> (Gcs2Emulator, Gcs2Stage) {
     hexapod_with(|_| {})
 }
 
-fn pose(axis: Axis, si: f64) -> StagePose {
-    StagePose::default().with_si(axis, si)
-}
-
-fn wait(stage: &impl Stage) -> Motion {
-    let start = Instant::now();
-    loop {
-        match stage.poll().unwrap() {
-            Motion::Moving => assert!(start.elapsed() < Duration::from_secs(10), "it never ends"),
-            ended => return ended,
-        }
-        thread::sleep(Duration::from_millis(2));
-    }
-}
-
-fn detail(error: ScopeError) -> String {
-    match error {
-        ScopeError::Device { detail, .. } => detail,
-        other => panic!("{other:?}"),
+fn bench() -> Bench<Controller, Gcs2Stage> {
+    let (emulator, stage) = hexapod();
+    Bench {
+        emulator,
+        stage,
+        truth: |e| e.truth().iter().map(|mm| mm * 1e-3).collect(),
+        far: 20e-3,
     }
 }
 
@@ -307,40 +299,12 @@ fn pivot_and_velocity_are_set_and_read_back() {
     assert!(why.contains("rotations are zero"), "{why}");
 }
 
-/// Stops a hundred moves on the way while another thread polls, and prints how long it took until the stage stood.
 #[test]
 fn stops_on_the_way_are_quick_while_another_thread_polls() {
-    let (emulator, stage) = hexapod();
-    let mut took = Vec::new();
-    let mut there = 10e-3;
-    for _ in 0..100 {
-        stage.start_move(&pose(Axis::X, there)).unwrap();
-        there = -there;
-        let ended = thread::scope(|s| {
-            let polls = s.spawn(|| wait(&stage));
-            thread::sleep(Duration::from_millis(5));
-            let start = Instant::now();
-            stage.stop().unwrap();
-            took.push(start.elapsed());
-            polls.join().unwrap()
-        });
-        assert_eq!(ended, Motion::Stopped);
-        let at = emulator.truth();
-        thread::sleep(Duration::from_millis(1));
-        assert_eq!(emulator.truth(), at, "it creeps");
-        assert!(at[0].abs() < 9.9, "it arrived");
-    }
-    took.sort();
-    let at = |part: usize| took[part * took.len() / 100 - 1];
-    let mut err = std::io::stderr();
-    std::io::Write::write_fmt(
-        &mut err,
-        format_args!("stop: median {:?}, 99th percentile {:?}\n", at(50), at(99)),
-    )
-    .unwrap();
-    assert!(at(99) < Duration::from_millis(250), "{:?}", at(99));
+    let bench = bench();
+    bench.stops_quickly();
     // What the stop left behind is read: the next command is not blamed for it.
-    stage.set_platform_velocity_um_per_s(1000.0).unwrap();
+    bench.stage.set_platform_velocity_um_per_s(1000.0).unwrap();
 }
 
 #[test]
@@ -527,42 +491,8 @@ fn eight_threads_may_ask_at_once() {
     stage.stop().unwrap();
 }
 
-/// A fault in the middle of a move: the first call after it fails within the time-out and in its own way; the stage was
-/// told to stop; every later call says that the link is closed and why.
 fn fails(fault: Fault, first: fn(&ScopeError) -> bool, why: &str, hears: bool) {
-    let (emulator, stage) = hexapod();
-    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
-    emulator.set_fault(fault);
-    let start = Instant::now();
-    let error = stage.position().unwrap_err();
-    let took = start.elapsed();
-    assert!(
-        took < Duration::from_millis(300 + 500),
-        "{fault:?} {took:?}"
-    );
-    assert!(first(&error), "{fault:?} {error:?}");
-    for later in [
-        stage.position().map(|_| ()),
-        stage.poll().map(|_| ()),
-        stage.start_move(&pose(Axis::X, 0.0)),
-        stage.stop(),
-        stage.home(),
-    ] {
-        let text = detail(later.unwrap_err());
-        assert!(text.contains("closed because"), "{fault:?} {text}");
-        assert!(text.contains(why), "{fault:?} {text}");
-    }
-    if hears {
-        thread::sleep(Duration::from_millis(50));
-        let at = emulator.truth()[0];
-        thread::sleep(Duration::from_millis(20));
-        assert_eq!(emulator.truth()[0], at, "{fault:?} left it moving");
-        assert!(at < 19.9);
-    }
-}
-
-fn is_device(error: &ScopeError) -> bool {
-    matches!(error, ScopeError::Device { .. })
+    bench().fails(Gcs2Stage::home, fault, first, why, hears);
 }
 
 #[test]
@@ -620,14 +550,7 @@ fn an_answer_that_comes_after_its_end_closes_the_link() {
 
 #[test]
 fn a_driver_that_ends_on_the_way_stops_the_stage() {
-    let (emulator, stage) = hexapod();
-    stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
-    drop(stage);
-    thread::sleep(Duration::from_millis(50));
-    let at = emulator.truth();
-    thread::sleep(Duration::from_millis(20));
-    assert_eq!(emulator.truth(), at);
-    assert!(at[0] < 19.0);
+    bench().ends();
 }
 
 #[test]

@@ -1,6 +1,9 @@
 //! Whatever comes: no parser panics, none makes a value of what is none, and no driver waits longer than it may.
 
-use scopeservo_drivers::link::{LineReader, LinkError, Tcp, Transport, ascii};
+mod common;
+
+use common::{Random, tcp};
+use scopeservo_drivers::link::{LineReader, LinkError, Transport, ascii};
 use scopeservo_drivers::{gcode, gcs2, sangaboard};
 use scopeservo_scope::{Axis, Kinematics, PositiveZ, ScopeError};
 use std::collections::VecDeque;
@@ -9,25 +12,6 @@ use std::net::TcpListener;
 use std::sync::Mutex;
 use std::thread;
 use std::time::{Duration, Instant};
-
-/// SplitMix64.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-    fn below(&mut self, n: usize) -> usize {
-        (self.next() % n as u64) as usize
-    }
-    fn of<T: Copy>(&mut self, all: &[T]) -> T {
-        all[self.below(all.len())]
-    }
-}
 
 /// What lines are made of, on all three kinds of wire.
 const PARTS: [&str; 62] = [
@@ -339,9 +323,9 @@ fn against_noise<T>(
             }
         }
     });
-    let tcp = Tcp::connect(&address, Duration::from_secs(2)).unwrap();
+    let tcp = tcp(&address);
     let start = Instant::now();
-    let answer = connect(Box::new(tcp)).map(|_| ());
+    let answer = connect(tcp).map(|_| ());
     let took = start.elapsed();
     peer.join().unwrap();
     (answer, took)

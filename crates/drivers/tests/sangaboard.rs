@@ -1,10 +1,12 @@
 //! The Sangaboard driver against the emulated board, over TCP.
 
+mod common;
+
+use common::{Bench, detail, is_device, pose, tcp, wait};
 use scopeservo_drivers::emulator::Fault;
-use scopeservo_drivers::emulator::sangaboard::{EmulatedSanga, SangaEmulator};
-use scopeservo_drivers::link::Tcp;
+use scopeservo_drivers::emulator::sangaboard::{EmulatedSanga, Sanga, SangaEmulator};
 use scopeservo_drivers::sangaboard::{SangaAxis, SangaSettings, SangaStage};
-use scopeservo_scope::{Axis, Kinematics, Motion, PositiveZ, ScopeError, Stage, StagePose};
+use scopeservo_scope::{Axis, Kinematics, Motion, PositiveZ, ScopeError, Stage};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -28,8 +30,7 @@ fn settings() -> SangaSettings {
 }
 
 fn connect(emulator: &SangaEmulator, settings: &SangaSettings) -> Result<SangaStage, ScopeError> {
-    let tcp = Tcp::connect(&emulator.address(), Duration::from_secs(2)).unwrap();
-    SangaStage::connect(Box::new(tcp), settings)
+    SangaStage::connect(tcp(&emulator.address()), settings)
 }
 
 fn start_with(
@@ -47,25 +48,13 @@ fn start() -> (SangaEmulator, SangaStage) {
     (emulator, stage.unwrap())
 }
 
-fn pose(axis: Axis, um: f64) -> StagePose {
-    StagePose::default().with_si(axis, um * 1e-6)
-}
-
-fn wait(stage: &impl Stage) -> Motion {
-    let start = Instant::now();
-    loop {
-        match stage.poll().unwrap() {
-            Motion::Moving => assert!(start.elapsed() < Duration::from_secs(10), "it never ends"),
-            ended => return ended,
-        }
-        thread::sleep(Duration::from_millis(2));
-    }
-}
-
-fn detail(error: ScopeError) -> String {
-    match error {
-        ScopeError::Device { detail, .. } => detail,
-        other => panic!("{other:?}"),
+fn bench() -> Bench<Sanga, SangaStage> {
+    let (emulator, stage) = start();
+    Bench {
+        emulator,
+        stage,
+        truth: |e| e.truth().map(|steps| f64::from(steps) * 1e-7).into(),
+        far: 2e-3,
     }
 }
 
@@ -80,11 +69,11 @@ fn axes_go_to_absolute_places_from_wherever_they_are() {
         "turned round"
     );
     stage
-        .start_move(&pose(Axis::X, 20.0).with_si(Axis::Y, 30e-6))
+        .start_move(&pose(Axis::X, 20e-6).with_si(Axis::Y, 30e-6))
         .unwrap();
     assert_eq!(wait(&stage), Motion::Settled);
     assert_eq!(emulator.truth(), [200, -300, 500]);
-    stage.start_move(&pose(Axis::Z, -10.0)).unwrap();
+    stage.start_move(&pose(Axis::Z, -10e-6)).unwrap();
     assert_eq!(wait(&stage), Motion::Settled);
     assert_eq!(emulator.truth(), [200, -300, -200]);
     let at = stage.position().unwrap();
@@ -127,7 +116,7 @@ fn limits_and_missing_axes_are_refused_and_nothing_is_sent() {
     settings.y = None;
     let stage = connect(&emulator, &settings).unwrap();
     let before = emulator.heard().len();
-    for outside in [-2001.0, 2001.0] {
+    for outside in [-2001e-6, 2001e-6] {
         assert!(matches!(
             stage.start_move(&pose(Axis::X, outside)),
             Err(ScopeError::OutsideLimits { .. })
@@ -150,7 +139,7 @@ fn limits_and_missing_axes_are_refused_and_nothing_is_sent() {
 #[test]
 fn a_second_move_is_refused_while_one_runs() {
     let (_emulator, stage) = start();
-    stage.start_move(&pose(Axis::X, 1000.0)).unwrap();
+    stage.start_move(&pose(Axis::X, 1000e-6)).unwrap();
     let busy = Err(ScopeError::Busy { device: "stage" });
     assert_eq!(stage.start_move(&pose(Axis::X, 0.0)), busy);
     assert_eq!(stage.release(), busy);
@@ -163,42 +152,13 @@ fn a_second_move_is_refused_while_one_runs() {
 
 #[test]
 fn stops_on_the_way_are_quick_while_another_thread_polls() {
-    let (emulator, stage) = start();
-    let mut took = Vec::new();
-    let mut there = 1500.0;
-    for _ in 0..50 {
-        stage.start_move(&pose(Axis::X, there)).unwrap();
-        there = -there;
-        let ended = thread::scope(|s| {
-            let polls = s.spawn(|| wait(&stage));
-            thread::sleep(Duration::from_millis(5));
-            let start = Instant::now();
-            stage.stop().unwrap();
-            took.push(start.elapsed());
-            polls.join().unwrap()
-        });
-        assert_eq!(ended, Motion::Stopped);
-        let at = emulator.truth();
-        thread::sleep(Duration::from_millis(2));
-        assert_eq!(emulator.truth(), at, "it creeps");
-    }
-    took.sort();
-    let mut err = std::io::stderr();
-    std::io::Write::write_fmt(
-        &mut err,
-        format_args!(
-            "stop: median {:?}, slowest of 50 {:?}\n",
-            took[24], took[49]
-        ),
-    )
-    .unwrap();
-    assert!(took[49] < Duration::from_millis(250), "{:?}", took[49]);
+    bench().stops_quickly();
 }
 
 #[test]
 fn stops_from_many_threads_do_not_mix_up_the_answers() {
     let (_emulator, stage) = start();
-    stage.start_move(&pose(Axis::X, 2000.0)).unwrap();
+    stage.start_move(&pose(Axis::X, 2000e-6)).unwrap();
     thread::scope(|s| {
         for i in 0..8 {
             let stage = &stage;
@@ -219,7 +179,7 @@ fn stops_from_many_threads_do_not_mix_up_the_answers() {
 #[test]
 fn a_move_that_ends_early_is_not_taken_for_an_arrival() {
     let (emulator, stage) = start();
-    stage.start_move(&pose(Axis::X, 1000.0)).unwrap();
+    stage.start_move(&pose(Axis::X, 1000e-6)).unwrap();
     emulator.block();
     assert_eq!(wait(&stage), Motion::Stopped);
 }
@@ -227,7 +187,7 @@ fn a_move_that_ends_early_is_not_taken_for_an_arrival() {
 #[test]
 fn a_stop_that_is_ignored_is_told() {
     let (emulator, stage) = start();
-    stage.start_move(&pose(Axis::X, 2000.0)).unwrap();
+    stage.start_move(&pose(Axis::X, 2000e-6)).unwrap();
     emulator.ignore_stops();
     let why = detail(stage.stop().unwrap_err());
     assert!(why.contains("emergency"), "{why}");
@@ -244,45 +204,12 @@ fn a_board_that_starts_when_the_port_is_opened_is_waited_for() {
     let stage = connect(&emulator, &settings).unwrap();
     let took = start.elapsed();
     assert!(took > Duration::from_millis(150) && took < Duration::from_secs(2));
-    stage.start_move(&pose(Axis::X, 1.0)).unwrap();
+    stage.start_move(&pose(Axis::X, 1e-6)).unwrap();
     assert_eq!(wait(&stage), Motion::Settled);
 }
 
-/// As in the tests of GCS 2.
 fn fails(fault: Fault, first: fn(&ScopeError) -> bool, why: &str, hears: bool) {
-    let (emulator, stage) = start();
-    stage.start_move(&pose(Axis::X, 2000.0)).unwrap();
-    emulator.set_fault(fault);
-    let start = Instant::now();
-    let error = stage.position().unwrap_err();
-    let took = start.elapsed();
-    assert!(
-        took < Duration::from_millis(300 + 500),
-        "{fault:?} {took:?}"
-    );
-    assert!(first(&error), "{fault:?} {error:?}");
-    for later in [
-        stage.position().map(|_| ()),
-        stage.poll().map(|_| ()),
-        stage.start_move(&pose(Axis::X, 0.0)),
-        stage.stop(),
-        stage.release(),
-    ] {
-        let text = detail(later.unwrap_err());
-        assert!(text.contains("closed because"), "{fault:?} {text}");
-        assert!(text.contains(why), "{fault:?} {text}");
-    }
-    if hears {
-        thread::sleep(Duration::from_millis(50));
-        let at = emulator.truth()[0];
-        thread::sleep(Duration::from_millis(20));
-        assert_eq!(emulator.truth()[0], at, "{fault:?} left it moving");
-        assert!(at < 19_000);
-    }
-}
-
-fn is_device(error: &ScopeError) -> bool {
-    matches!(error, ScopeError::Device { .. })
+    bench().fails(SangaStage::release, fault, first, why, hears);
 }
 
 #[test]
@@ -328,12 +255,5 @@ fn a_disconnection_on_the_way_is_told() {
 
 #[test]
 fn a_driver_that_ends_on_the_way_stops_the_stage() {
-    let (emulator, stage) = start();
-    stage.start_move(&pose(Axis::X, 2000.0)).unwrap();
-    drop(stage);
-    thread::sleep(Duration::from_millis(50));
-    let at = emulator.truth();
-    thread::sleep(Duration::from_millis(20));
-    assert_eq!(emulator.truth(), at);
-    assert!(at[0] < 19_000);
+    bench().ends();
 }

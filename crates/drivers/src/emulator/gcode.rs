@@ -88,6 +88,10 @@ impl GcodeEmulator {
     pub fn turned_deg(&self) -> f64 {
         self.device().place()[3]
     }
+    /// Whether it really moves.
+    pub fn moves(&self) -> bool {
+        self.device().moves()
+    }
     /// Damages so many of the numbered lines that come next.
     pub fn damage_lines(&self, lines: u32) {
         self.device().damage = lines;

@@ -103,6 +103,10 @@ impl Gcs2Emulator {
     pub fn truth(&self) -> Vec<f64> {
         self.device().place()
     }
+    /// Whether it really moves.
+    pub fn moves(&self) -> bool {
+        self.device().moves()
+    }
     /// Which commands to stop it obeys from now on.
     pub fn set_obeys(&self, obeys: Obeys) {
         self.device().obeys = obeys;
@@ -152,6 +156,10 @@ impl Controller {
             return 1.0;
         }
         (self.began.elapsed().as_secs_f64() / self.takes.as_secs_f64()).min(1.0)
+    }
+
+    fn moves(&mut self) -> bool {
+        self.homing() || self.part() < 1.0
     }
 
     fn place(&self) -> Vec<f64> {
@@ -375,8 +383,8 @@ impl Device for Controller {
         match byte {
             5 => {
                 let mask = (1u32 << self.stage.axes.len()) - 1;
-                let moves = homing || self.part() < 1.0;
-                says.extend(format!("{:X}\n", if moves { mask } else { 0 }).bytes());
+                let moving = if self.moves() { mask } else { 0 };
+                says.extend(format!("{moving:X}\n").bytes());
             }
             7 => says.extend([if homing { 176 } else { 177 }, b'\n']),
             24 => {

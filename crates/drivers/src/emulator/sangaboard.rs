@@ -65,6 +65,10 @@ impl SangaEmulator {
     pub fn truth(&self) -> [i32; 3] {
         self.device().place()
     }
+    /// Whether it really moves.
+    pub fn moves(&self) -> bool {
+        self.device().moves()
+    }
     /// Makes it pass over stops, though it answers them.
     pub fn ignore_stops(&self) {
         self.device().deaf = true;

@@ -29,6 +29,24 @@ pub enum Fault {
     SlowBytes(u64),
 }
 
+/// A fault to come, after so many answers as they should be.
+#[derive(Default)]
+struct Ahead {
+    answers: u32,
+    fault: Fault,
+}
+
+impl Ahead {
+    /// What goes wrong with the next answer.
+    fn next(&mut self) -> Fault {
+        if self.answers == 0 {
+            return self.fault;
+        }
+        self.answers -= 1;
+        Fault::None
+    }
+}
+
 /// What an emulated device does with bytes and time.
 pub(crate) trait Device: Send + 'static {
     /// Takes a byte and appends what it says to that.
@@ -41,7 +59,7 @@ pub(crate) trait Device: Send + 'static {
 pub struct Server<D> {
     address: SocketAddr,
     device: Arc<Mutex<D>>,
-    fault: Arc<Mutex<Fault>>,
+    ahead: Arc<Mutex<Ahead>>,
     ends: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -59,22 +77,22 @@ impl<D> Server<D> {
         let listener = TcpListener::bind("127.0.0.1:0")?;
         let address = listener.local_addr()?;
         let device = Arc::new(Mutex::new(device));
-        let fault = Arc::new(Mutex::new(Fault::None));
+        let ahead = Arc::new(Mutex::new(Ahead::default()));
         let ends = Arc::new(AtomicBool::new(false));
-        let (d, f, e) = (device.clone(), fault.clone(), ends.clone());
+        let (d, a, e) = (device.clone(), ahead.clone(), ends.clone());
         let thread = thread::spawn(move || {
             while let Ok((stream, _)) = listener.accept() {
                 if e.load(Ordering::SeqCst) {
                     return;
                 }
                 // A connection that failed is over; the next may come.
-                let _ = serve(stream, &d, &f, &e);
+                let _ = serve(stream, &d, &a, &e);
             }
         });
         Ok(Self {
             address,
             device,
-            fault,
+            ahead,
             ends,
             thread: Some(thread),
         })
@@ -87,7 +105,12 @@ impl<D> Server<D> {
 
     /// Makes something go wrong from now on.
     pub fn set_fault(&self, fault: Fault) {
-        *lock(&self.fault) = fault;
+        self.set_fault_after(0, fault);
+    }
+
+    /// Makes something go wrong after so many answers more.
+    pub fn set_fault_after(&self, answers: u32, fault: Fault) {
+        *lock(&self.ahead) = Ahead { answers, fault };
     }
 
     pub(crate) fn device(&self) -> MutexGuard<'_, D> {
@@ -110,7 +133,7 @@ impl<D> Drop for Server<D> {
 fn serve<D: Device>(
     stream: TcpStream,
     device: &Mutex<D>,
-    fault: &Mutex<Fault>,
+    ahead: &Mutex<Ahead>,
     ends: &AtomicBool,
 ) -> std::io::Result<()> {
     stream.set_nodelay(true)?;
@@ -122,7 +145,7 @@ fn serve<D: Device>(
         let (speaks, over) = (&stream, &over);
         s.spawn(move || {
             for says in said {
-                let now = *lock(fault);
+                let now = lock(ahead).next();
                 if say(speaks, &says, now, over).is_err() {
                     return;
                 }
