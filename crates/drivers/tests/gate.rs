@@ -266,8 +266,9 @@ impl Emulated for Board {
             repeatability_um: STEP_UM,
         };
         let settings = GcodeSettings {
-            kinematics: Kinematics::SpecimenXyOnTop,
-            positive_z: PositiveZ::Closer,
+            kinematics: Some(Kinematics::SpecimenXyOnTop),
+            positive_z: Some(PositiveZ::Closer),
+            nosepiece: None,
             axes: AXES.into_iter().zip(['X', 'Y', 'Z']).map(axis).collect(),
             speed_um_per_s: 1e3 * MM_PER_S,
             needs_homing: false,

@@ -1,10 +1,12 @@
 //! Nosepieces on axes of the controllers that drive the stage, and on a board of their own, behind the motion gate.
 
+mod common;
+
+use common::tcp;
 use scopeservo_drivers::emulator::gcode::{EmulatedBoard, GcodeEmulator};
 use scopeservo_drivers::emulator::gcs2::{EmulatedStage, Gcs2Emulator};
 use scopeservo_drivers::gcode::{GcodeSettings, GcodeStage};
 use scopeservo_drivers::gcs2::{Gcs2Nosepiece, Gcs2Settings, Gcs2Stage};
-use scopeservo_drivers::link::Tcp;
 use scopeservo_drivers::turret::TurretPlace;
 use scopeservo_scope::{
     Axis, AxisInfo, ChangeRule, Kinematics, Motion, MotionGate, Nosepiece, ObjectiveId, PositiveZ,
@@ -12,10 +14,6 @@ use scopeservo_scope::{
 };
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-
-fn tcp(address: &str) -> Box<Tcp> {
-    Box::new(Tcp::connect(address, Duration::from_secs(2)).unwrap())
-}
 
 fn places() -> Vec<TurretPlace> {
     [("10x", 0.0), ("20x", 60.0), ("40x", 120.0)]

@@ -199,9 +199,8 @@ impl Procedure for Identify {
             }
         };
         let identity = self.judge(scope, um_per_px);
-        match identity.as_told {
-            true => scope.gate().prove_objective(),
-            false => {}
+        if identity.as_told {
+            scope.gate().prove_objective();
         }
         let event = Event::Identified {
             objective: self.objective.clone(),
