@@ -4,11 +4,10 @@ use crate::args::DriverCheckArgs;
 use crate::desk::rein_in;
 use crate::doctor::{Finding, Findings};
 use crate::error::CliError;
-use scopeservo_protocol::{Devices, Driver, Secret};
+use scopeservo_protocol::{Devices, Driver, Light, Secret};
 use scopeservo_scope::{
-    Camera, CameraInfo, CancelToken, ChangeRule, Channels, Clock, Frame, Instrument, Kinematics,
-    Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError, Stage,
-    StageInfo, StagePose, SystemClock, conformance,
+    Absent, CancelToken, ChangeRule, Clock, Instrument, MotionGate, Rules, ScopeError, SystemClock,
+    conformance,
 };
 use scopeservo_setup::SetupError;
 use std::path::Path;
@@ -22,16 +21,18 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
     let secret = args.secret_file.as_deref().map(read_secret).transpose()?;
     let cancel = CancelToken::new();
     let reins = rein_in(&cancel)?;
-    let driver = match (&args.tcp, args.command.split_first()) {
-        (Some(address), _) => Driver::connect(address, secret.as_ref()),
-        (None, Some((program, arguments))) => Driver::spawn(program, arguments),
-        (None, None) => {
-            return Err(CliError::Usage(
-                "name the driver's program after --, like `scopeservo driver check -- python3 my_driver.py`, or --tcp ADDRESS".into(),
-            ));
+    let open_driver = || {
+        match (&args.tcp, args.command.split_first()) {
+        (Some(address), _) => Ok(Driver::connect(address, secret.as_ref()).map_err(SetupError::from)?),
+        (None, Some((program, arguments))) => {
+            Ok(Driver::spawn(program, arguments).map_err(SetupError::from)?)
         }
+        (None, None) => Err(CliError::Usage(
+            "name the driver's program after --, like `scopeservo driver check -- python3 my_driver.py`, or --tcp ADDRESS".into(),
+        )),
+    }
     };
-    let driver = driver.map_err(SetupError::from)?;
+    let driver = open_driver()?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let devices = driver.devices(&clock).map_err(SetupError::from)?;
     let mut findings = Findings::new(args.json);
@@ -40,29 +41,12 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
         ok: true,
         said: format!("{}; {}", driver.hello().name, listed(&devices)),
     });
-    let has = [
-        devices.stage.is_some(),
-        devices.camera.is_some(),
-        devices.nosepiece.is_some(),
-    ];
-    let light = devices.light;
-    let rules = Rules::travel_only(match args.retract_z_um {
-        Some(um) => ChangeRule::Retracted {
-            z: um * 1e-6,
-            margin: 0.0,
-        },
-        None => ChangeRule::Anywhere,
-    });
-    let gate = MotionGate::new(
-        devices.stage.unwrap_or_else(|| Box::new(NoStage::new())),
-        devices.nosepiece.unwrap_or_else(|| Box::new(NoNosepiece)),
-        rules,
-    )?;
-    let camera = devices.camera.unwrap_or_else(|| Box::new(NoCamera::new()));
-    let scope = Arc::new(Instrument::new(gate, camera, clock, cancel));
+    let stage = devices.stage.is_some();
+    let camera = devices.camera.is_some();
+    let nosepiece = devices.nosepiece.is_some();
+    let (scope, light) = instrument(devices, args.retract_z_um, &clock, &cancel)?;
     let _ = reins.set(Arc::downgrade(&scope));
 
-    let [stage, camera, nosepiece] = has;
     let mut checks = Vec::new();
     if stage {
         checks.extend(conformance::check_stage(&scope));
@@ -82,14 +66,59 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
     if stage || nosepiece {
         findings.add(stop_is_quick(&scope, camera));
     }
-    if let Some(light) = light {
-        findings.add(light_is_set(&light));
+    if let Some(light) = &light {
+        findings.add(light_is_set(light));
     }
     if nosepiece && stage && args.retract_z_um.is_none() && !args.json {
         say!("    objectives were not changed: name a safe height with --retract-z-um");
     }
     scope.check_cancel()?;
+    if stage {
+        let pull = || {
+            driver.cut();
+            // A program is waited for: the next one needs its device.
+            drop(driver);
+        };
+        let put_back = || -> Result<Arc<Instrument>, CliError> {
+            let devices = open_driver()?.devices(&clock).map_err(SetupError::from)?;
+            Ok(instrument(devices, args.retract_z_um, &clock, &cancel)?.0)
+        };
+        // The light would keep the old connection.
+        drop(light);
+        let (checks, opened) =
+            conformance::check_replug(scope, pull, || put_back().map_err(|e| e.to_string()));
+        for check in checks {
+            findings.add(check.into());
+        }
+        if let Some(scope) = opened {
+            scope.check_cancel()?;
+        }
+    }
     findings.conclude("driver check")
+}
+
+/// The devices of a driver behind a gate, and its light.
+fn instrument(
+    devices: Devices,
+    retract_z_um: Option<f64>,
+    clock: &Arc<dyn Clock>,
+    cancel: &CancelToken,
+) -> Result<(Arc<Instrument>, Option<Light>), CliError> {
+    let rules = Rules::travel_only(match retract_z_um {
+        Some(um) => ChangeRule::Retracted {
+            z: um * 1e-6,
+            margin: 0.0,
+        },
+        None => ChangeRule::Anywhere,
+    });
+    let gate = MotionGate::new(
+        devices.stage.unwrap_or_else(|| Box::new(Absent::new())),
+        devices.nosepiece.unwrap_or_else(|| Box::new(Absent::new())),
+        rules,
+    )?;
+    let camera = devices.camera.unwrap_or_else(|| Box::new(Absent::new()));
+    let scope = Instrument::new(gate, camera, clock.clone(), cancel.clone());
+    Ok((Arc::new(scope), devices.light))
 }
 
 pub(crate) fn read_secret(path: &Path) -> Result<Secret, CliError> {
@@ -188,100 +217,5 @@ fn light_is_set(light: &scopeservo_protocol::Light) -> Finding {
         name: "the light keeps the level it was given".into(),
         ok,
         said,
-    }
-}
-
-/// Stands where a driver has no stage.
-struct NoStage(StageInfo);
-
-impl NoStage {
-    fn new() -> Self {
-        Self(StageInfo {
-            name: "none".into(),
-            axes: Vec::new(),
-            kinematics: Kinematics::SpecimenXyOnTop,
-            positive_z: PositiveZ::Closer,
-        })
-    }
-}
-
-impl Stage for NoStage {
-    fn info(&self) -> &StageInfo {
-        &self.0
-    }
-    fn position(&self) -> Result<StagePose, ScopeError> {
-        Ok(StagePose::default())
-    }
-    fn start_move(&self, _: &StagePose) -> Result<(), ScopeError> {
-        Ok(())
-    }
-    fn poll(&self) -> Result<Motion, ScopeError> {
-        Ok(Motion::Settled)
-    }
-    fn stop(&self) -> Result<(), ScopeError> {
-        Ok(())
-    }
-}
-
-/// Stands where a driver has no nosepiece.
-struct NoNosepiece;
-
-impl Nosepiece for NoNosepiece {
-    fn objectives(&self) -> &[Objective] {
-        &[]
-    }
-    fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
-        Ok(None)
-    }
-    fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
-        Err(ScopeError::NoSuchObjective {
-            asked: to.clone(),
-            available: "none".into(),
-        })
-    }
-    fn poll(&self) -> Result<Motion, ScopeError> {
-        Ok(Motion::Settled)
-    }
-    fn stop(&self) -> Result<(), ScopeError> {
-        Ok(())
-    }
-}
-
-/// Stands where a driver has no camera.
-struct NoCamera(CameraInfo);
-
-impl NoCamera {
-    fn new() -> Self {
-        Self(CameraInfo {
-            name: "none".into(),
-            width: 1,
-            height: 1,
-            channels: Channels::Gray,
-            bit_depth: 8,
-            min_exposure: Duration::ZERO,
-            max_exposure: Duration::ZERO,
-        })
-    }
-
-    fn none<T>() -> Result<T, ScopeError> {
-        Err(ScopeError::Refused {
-            device: "camera",
-            detail: "this driver has none".into(),
-        })
-    }
-}
-
-impl Camera for NoCamera {
-    fn info(&self) -> &CameraInfo {
-        &self.0
-    }
-    fn exposure(&self) -> Result<Duration, ScopeError> {
-        Self::none()
-    }
-    fn set_exposure(&self, _: Duration) -> Result<Duration, ScopeError> {
-        Self::none()
-    }
-    fn grab(&self) -> Result<Frame, ScopeError> {
-        Self::none()
     }
 }

@@ -12,32 +12,14 @@ use scopeservo_drivers::gcode::{GcodeAxis, GcodeSettings, GcodeStage};
 use scopeservo_drivers::gcs2::{Gcs2Settings, Gcs2Stage};
 use scopeservo_drivers::sangaboard::{SangaAxis, SangaSettings, SangaStage};
 use scopeservo_scope::{
-    Axis, AxisRange, Camera, CameraInfo, CancelToken, ChangeRule, Channels, ErrorKind, Frame,
-    Instrument, Kinematics, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId,
-    PositiveZ, Rules, ScopeError, Stage, StagePose, SystemClock, conformance,
+    Absent, Axis, AxisRange, CancelToken, ChangeRule, ErrorKind, Instrument, Kinematics, Limits,
+    Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError, Stage,
+    StagePose, SystemClock, conformance,
 };
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
-
-/// Stands where a stage driver has no camera.
-struct NoCamera(CameraInfo);
-
-impl Camera for NoCamera {
-    fn info(&self) -> &CameraInfo {
-        &self.0
-    }
-    fn exposure(&self) -> Result<Duration, ScopeError> {
-        Ok(Duration::ZERO)
-    }
-    fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
-        Ok(exposure)
-    }
-    fn grab(&self) -> Result<Frame, ScopeError> {
-        Err(ScopeError::Busy { device: "camera" })
-    }
-}
 
 /// A nosepiece that takes a millisecond and tells when it turns.
 #[derive(Clone)]
@@ -100,21 +82,27 @@ impl Nosepiece for Turret {
     }
 }
 
-fn conforms(stage: Box<dyn Stage>) {
-    let rules = Rules::travel_only(ChangeRule::Anywhere);
-    let gate = MotionGate::new(stage, Box::new(Turret::new()), rules).unwrap();
-    let camera = NoCamera(CameraInfo {
-        name: "none".into(),
-        width: 1,
-        height: 1,
-        channels: Channels::Gray,
-        bit_depth: 8,
-        min_exposure: Duration::ZERO,
-        max_exposure: Duration::ZERO,
-    });
-    let clock = Arc::new(SystemClock::new());
-    let scope = Instrument::new(gate, Box::new(camera), clock, CancelToken::new());
-    for check in conformance::check_stage(&scope) {
+/// The suite for a stage, and its plug pulled and put back.
+fn conforms<D: Send>(emulator: &Server<D>, connect: impl Fn() -> Box<dyn Stage>) {
+    let open = |nosepiece: Box<dyn Nosepiece>| {
+        let rules = Rules::travel_only(ChangeRule::Anywhere);
+        let gate = MotionGate::new(connect(), nosepiece, rules).unwrap();
+        let (camera, clock) = (Box::new(Absent::new()), Arc::new(SystemClock::new()));
+        Arc::new(Instrument::new(gate, camera, clock, CancelToken::new()))
+    };
+    // The emulated turret hangs on no plug.
+    let alone = || open(Box::new(Absent::new()));
+    let mut checks = conformance::check_stage(&open(Box::new(Turret::new())));
+    let (replug, _) = conformance::check_replug(
+        alone(),
+        || emulator.set_fault(Fault::Disconnect),
+        || {
+            emulator.set_fault(Fault::None);
+            Ok(alone())
+        },
+    );
+    checks.extend(replug);
+    for check in checks {
         assert_eq!(check.outcome, Ok(()), "{}", check.name);
     }
 }
@@ -126,9 +114,9 @@ fn gcs2() -> Gcs2Settings {
 #[test]
 fn gcs2_passes_the_conformance_suite() {
     let emulator = Gcs2Emulator::serve(EmulatedStage::hexapod()).unwrap();
-    conforms(Box::new(
-        Gcs2Stage::connect(tcp(&emulator.address()), &gcs2()).unwrap(),
-    ));
+    conforms(&emulator, || {
+        Box::new(Gcs2Stage::connect(tcp(&emulator.address()), &gcs2()).unwrap())
+    });
 }
 
 #[test]
@@ -152,9 +140,9 @@ fn gcode_passes_the_conformance_suite() {
     }))
     .unwrap();
     settings.axes = vec![axis(Axis::X, 'X'), axis(Axis::Y, 'Y')];
-    conforms(Box::new(
-        GcodeStage::connect(tcp(&emulator.address()), &settings).unwrap(),
-    ));
+    conforms(&emulator, || {
+        Box::new(GcodeStage::connect(tcp(&emulator.address()), &settings).unwrap())
+    });
 }
 
 #[test]
@@ -170,9 +158,9 @@ fn the_sangaboard_passes_the_conformance_suite() {
         "x": motor, "y": motor, "z": motor,
     }))
     .unwrap();
-    conforms(Box::new(
-        SangaStage::connect(tcp(&emulator.address()), &settings).unwrap(),
-    ));
+    conforms(&emulator, || {
+        Box::new(SangaStage::connect(tcp(&emulator.address()), &settings).unwrap())
+    });
 }
 
 // Random commands and faults: a thousand sequences for each emulator, or as many as one asks for:

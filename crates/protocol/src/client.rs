@@ -232,6 +232,11 @@ impl Driver {
         &self.hello
     }
 
+    /// Ends the connection without a word, as a pulled plug does: to see that the driver then stops what moves.
+    pub fn cut(&self) {
+        self.link.cut();
+    }
+
     /// Finds the reference of the stage, which moves it: only with the user's consent. Returns when the move has begun.
     ///
     /// # Errors

@@ -185,6 +185,11 @@ impl Link {
         }
     }
 
+    /// Ends the connection without a word, as a pulled plug does.
+    pub(crate) fn cut(&self) {
+        self.shared.end("it was cut off", false);
+    }
+
     /// Ends the connection because of what the driver said.
     pub(crate) fn break_off(&self, reason: &str) -> ScopeError {
         self.shared.close(reason);
@@ -264,6 +269,10 @@ impl Shared {
 
     /// Stops everything at the other end and ends the connection. The first reason stays.
     fn close(&self, reason: &str) {
+        self.end(reason, true);
+    }
+
+    fn end(&self, reason: &str, farewell: bool) {
         let waiting = {
             let mut state = lock(&self.state);
             if state.lost.is_some() {
@@ -276,7 +285,8 @@ impl Shared {
             let _ = waiting.answer.try_send(Err(reason.to_owned()));
         }
         // What cannot be stopped by asking is stopped by the end of its input.
-        if let Some(mut out) = lock(&self.out).take() {
+        let out = lock(&self.out).take();
+        if let Some(mut out) = out.filter(|_| farewell) {
             let id = self.next.fetch_add(2, Ordering::SeqCst);
             for (id, call) in [(id, Call::Stop), (id + 1, Call::Bye)] {
                 let _ = wire::write(&mut out, &Request { id, call }, &[]);

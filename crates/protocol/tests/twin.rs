@@ -36,11 +36,12 @@ fn served(secret: Option<Secret>) -> String {
 }
 
 fn instrument(address: &str) -> Instrument {
+    of(&Driver::connect(address, None).unwrap())
+}
+
+fn of(driver: &Driver) -> Instrument {
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-    let devices = Driver::connect(address, None)
-        .unwrap()
-        .devices(&clock)
-        .unwrap();
+    let devices = driver.devices(&clock).unwrap();
     let gate = MotionGate::new(
         devices.stage.unwrap(),
         devices.nosepiece.unwrap(),
@@ -55,8 +56,17 @@ fn instrument(address: &str) -> Instrument {
 
 #[test]
 fn the_twin_passes_the_conformance_suite_over_the_protocol() {
-    let scope = instrument(&served(None));
-    for check in conformance::check_instrument(&scope) {
+    let address = served(None);
+    let driver = Driver::connect(&address, None).unwrap();
+    let scope = Arc::new(of(&driver));
+    let mut checks = conformance::check_instrument(&scope);
+    let (replug, _) = conformance::check_replug(
+        scope,
+        || driver.cut(),
+        || Ok(Arc::new(instrument(&address))),
+    );
+    checks.extend(replug);
+    for check in checks {
         assert_eq!(check.outcome, Ok(()), "{}", check.name);
     }
 }

@@ -289,9 +289,7 @@ impl Instrument {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        AxisInfo, CameraInfo, Kinematics, Nosepiece, PositiveZ, Rules, Stage, StageInfo, Timestamp,
-    };
+    use crate::{Absent, AxisInfo, Kinematics, PositiveZ, Rules, Stage, StageInfo, Timestamp};
     use std::sync::Mutex;
 
     /// A stage of one axis that goes 1 mm/s, or never arrives, or cannot say what it does.
@@ -376,53 +374,6 @@ mod tests {
         }
     }
 
-    struct Nothing(CameraInfo);
-
-    impl Camera for Nothing {
-        fn info(&self) -> &CameraInfo {
-            &self.0
-        }
-        fn exposure(&self) -> Result<Duration, ScopeError> {
-            Ok(self.0.min_exposure)
-        }
-        fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
-            Ok(exposure)
-        }
-        fn grab(&self) -> Result<Frame, ScopeError> {
-            Err(ScopeError::Busy { device: "camera" })
-        }
-    }
-
-    impl Nosepiece for Nothing {
-        fn objectives(&self) -> &[Objective] {
-            &[]
-        }
-        fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
-            Ok(None)
-        }
-        fn start_change(&self, _: &ObjectiveId) -> Result<(), ScopeError> {
-            Ok(())
-        }
-        fn poll(&self) -> Result<Motion, ScopeError> {
-            Ok(Motion::Settled)
-        }
-        fn stop(&self) -> Result<(), ScopeError> {
-            Ok(())
-        }
-    }
-
-    fn nothing() -> Box<Nothing> {
-        Box::new(Nothing(CameraInfo {
-            name: "none".into(),
-            width: 1,
-            height: 1,
-            channels: crate::Channels::Gray,
-            bit_depth: 8,
-            min_exposure: Duration::from_millis(1),
-            max_exposure: Duration::from_millis(1),
-        }))
-    }
-
     /// Sends the stage 10 mm away; it is cancelled after `sleeps` waits (never for 0). Returns what the move answered,
     /// the stage's state and the time.
     fn send(sleeps: i64, fault: bool) -> (Result<StagePose, ScopeError>, Place, f64) {
@@ -455,11 +406,11 @@ mod tests {
         let scope = Instrument::new(
             MotionGate::new(
                 Box::new(stage),
-                nothing(),
+                Box::new(Absent::new()),
                 Rules::travel_only(ChangeRule::Anywhere),
             )
             .unwrap(),
-            nothing(),
+            Box::new(Absent::new()),
             clock.clone(),
             cancel,
         );

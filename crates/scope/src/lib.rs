@@ -10,6 +10,7 @@
 //! - [`MotionGate`]: the only way to move an [`Instrument`]. It refuses what its [`Rules`] do not allow, and never clips.
 //! - [`conformance`]: one suite that every implementation must pass.
 
+mod absent;
 mod camera;
 mod clock;
 pub mod conformance;
@@ -21,6 +22,7 @@ mod rules;
 mod stage;
 mod units;
 
+pub use absent::Absent;
 pub use camera::{Camera, CameraInfo, Channels, Frame, Samples};
 pub use clock::{Clock, SystemClock, Timestamp, VirtualClock};
 pub use error::{ErrorKind, ScopeError};

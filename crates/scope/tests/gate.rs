@@ -3,10 +3,9 @@
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 use scopeservo_scope::{
-    Axis, AxisInfo, AxisRange, Camera, CameraInfo, CancelToken, ChangeRule, Clock, Frame,
-    Instrument, Kinematics, LargestStep, Length, Limits, Motion, MotionGate, Nosepiece, Objective,
-    ObjectiveId, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose, Timestamp,
-    VirtualClock, Workspace, Zone,
+    Absent, Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, Instrument, Kinematics,
+    LargestStep, Length, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ,
+    Rules, ScopeError, Stage, StageInfo, StagePose, Timestamp, VirtualClock, Workspace, Zone,
 };
 use std::collections::BTreeMap;
 use std::sync::mpsc;
@@ -549,7 +548,7 @@ fn nothing_begins_after_a_cancel() {
     let clock = Arc::new(VirtualClock::new());
     let scope = Instrument::new(
         devices.gate(rules()),
-        Box::new(NoCamera),
+        Box::new(Absent::new()),
         clock,
         cancel.clone(),
     );
@@ -567,24 +566,6 @@ fn nothing_begins_after_a_cancel() {
     assert_eq!(devices.world().begun, begun);
 }
 
-/// These tests look at nothing.
-struct NoCamera;
-
-impl Camera for NoCamera {
-    fn info(&self) -> &CameraInfo {
-        unreachable!("nobody looks")
-    }
-    fn exposure(&self) -> Result<Duration, ScopeError> {
-        Err(ScopeError::Busy { device: "camera" })
-    }
-    fn set_exposure(&self, _: Duration) -> Result<Duration, ScopeError> {
-        Err(ScopeError::Busy { device: "camera" })
-    }
-    fn grab(&self) -> Result<Frame, ScopeError> {
-        Err(ScopeError::Busy { device: "camera" })
-    }
-}
-
 #[test]
 fn after_a_change_it_comes_back_in_allowed_steps_and_short_of_an_unknown_focus() {
     let devices = Devices::new();
@@ -598,7 +579,7 @@ fn after_a_change_it_comes_back_in_allowed_steps_and_short_of_an_unknown_focus()
         devices: devices.clone(),
     });
     let gate = devices.gate(rules);
-    let scope = Instrument::new(gate, Box::new(NoCamera), clock, CancelToken::new());
+    let scope = Instrument::new(gate, Box::new(Absent::new()), clock, CancelToken::new());
     scope.move_to(&z(1e-3)).unwrap();
     let height = || scope.gate().position().unwrap().si(Axis::Z).unwrap();
     // 8 mm back where 6 are allowed at a time, and a millimetre short: 40x was never in focus.

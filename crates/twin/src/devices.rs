@@ -20,19 +20,19 @@ impl Stage for TwinStage {
     }
     fn position(&self) -> Result<StagePose, ScopeError> {
         let now = self.0.now();
-        Ok(self.0.state().stage.reported(now))
+        Ok(self.0.plugged("stage")?.stage.reported(now))
     }
     fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
         let now = self.0.now();
-        self.0.state().stage.start_move(to, now)
+        self.0.plugged("stage")?.stage.start_move(to, now)
     }
     fn poll(&self) -> Result<Motion, ScopeError> {
         let now = self.0.now();
-        Ok(self.0.state().stage.motion(now))
+        Ok(self.0.plugged("stage")?.stage.motion(now))
     }
     fn stop(&self) -> Result<(), ScopeError> {
         let now = self.0.now();
-        self.0.state().stage.stop(now);
+        self.0.plugged("stage")?.stage.stop(now);
         Ok(())
     }
 }
@@ -45,7 +45,7 @@ impl Nosepiece for TwinNosepiece {
     }
     fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
         let now = self.0.now();
-        let index = self.0.state().nosepiece.current(now);
+        let index = self.0.plugged("nosepiece")?.nosepiece.current(now);
         Ok(index.map(|i| self.0.objectives[i].id.clone()))
     }
     fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
@@ -58,15 +58,18 @@ impl Nosepiece for TwinNosepiece {
             });
         };
         let now = self.0.now();
-        self.0.state().nosepiece.start_change(index, now)
+        self.0
+            .plugged("nosepiece")?
+            .nosepiece
+            .start_change(index, now)
     }
     fn poll(&self) -> Result<Motion, ScopeError> {
         let now = self.0.now();
-        Ok(self.0.state().nosepiece.motion(now))
+        Ok(self.0.plugged("nosepiece")?.nosepiece.motion(now))
     }
     fn stop(&self) -> Result<(), ScopeError> {
         let now = self.0.now();
-        self.0.state().nosepiece.stop(now);
+        self.0.plugged("nosepiece")?.nosepiece.stop(now);
         Ok(())
     }
 }
@@ -163,7 +166,7 @@ impl Camera for TwinCamera {
     }
 
     fn exposure(&self) -> Result<Duration, ScopeError> {
-        Ok(self.0.state().exposure)
+        Ok(self.0.plugged("camera")?.exposure)
     }
 
     fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
@@ -176,11 +179,12 @@ impl Camera for TwinCamera {
                 ),
             });
         }
-        self.0.state().exposure = exposure;
+        self.0.plugged("camera")?.exposure = exposure;
         Ok(exposure)
     }
 
     fn grab(&self) -> Result<Frame, ScopeError> {
+        drop(self.0.plugged("camera")?);
         let slot = self.take_slot();
         let camera = &self.0.config.camera;
         let readout = Duration::from_secs_f64(camera.readout_ms * 1e-3);

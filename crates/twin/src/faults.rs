@@ -47,4 +47,9 @@ pub enum StageFault {
     },
     /// The lower half of the next frame is one frame period older than its upper half.
     TornFrame,
+    /// The plug is pulled: stage, nosepiece and camera are lost, and what moves stops. Or it is put back.
+    Unplugged(
+        /// Pulled, or put back.
+        bool,
+    ),
 }

@@ -14,8 +14,8 @@ use crate::truth::{TrueCalibration, Truth};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 use scopeservo_scope::{
-    Axis, Camera, CameraInfo, ChangeRule, Clock, Nosepiece, Objective, ObjectiveId, Rules, Stage,
-    StageInfo,
+    Axis, Camera, CameraInfo, ChangeRule, Clock, Nosepiece, Objective, ObjectiveId, Rules,
+    ScopeError, Stage, StageInfo,
 };
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -65,6 +65,8 @@ pub(crate) struct State {
     pub(crate) late_frames: u32,
     pub(crate) late_by: Duration,
     pub(crate) torn: bool,
+    /// Whether the plug is pulled.
+    pub(crate) unplugged: bool,
     pub(crate) truths: BTreeMap<u64, Truth>,
     slide_rng: Pcg64Mcg,
 }
@@ -73,6 +75,21 @@ impl Inner {
     pub(crate) fn state(&self) -> MutexGuard<'_, State> {
         // A panic elsewhere leaves plain numbers behind, none of them half written.
         self.state.lock().unwrap_or_else(|e| e.into_inner())
+    }
+
+    /// The state, for a device that is asked.
+    pub(crate) fn plugged(
+        &self,
+        device: &'static str,
+    ) -> Result<MutexGuard<'_, State>, ScopeError> {
+        let state = self.state();
+        match state.unplugged {
+            true => Err(ScopeError::Lost {
+                device,
+                detail: "its plug was pulled".into(),
+            }),
+            false => Ok(state),
+        }
     }
 
     pub(crate) fn now(&self) -> f64 {
@@ -177,6 +194,7 @@ impl Twin {
                 late_frames: 0,
                 late_by: Duration::ZERO,
                 torn: false,
+                unplugged: false,
                 truths: BTreeMap::new(),
                 slide_rng: seeds::rng(seed, seeds::SLIDE, 0),
             }),
@@ -287,6 +305,11 @@ impl Twin {
                 state.late_by = Duration::try_from_secs_f64(delay_s).unwrap_or(Duration::ZERO);
             }
             StageFault::TornFrame => state.torn = true,
+            StageFault::Unplugged(pulled) => {
+                state.unplugged = pulled;
+                state.stage.stop(now);
+                state.nosepiece.stop(now);
+            }
         }
     }
 

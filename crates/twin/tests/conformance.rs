@@ -3,8 +3,10 @@
 mod common;
 
 use common::{Bench, waves};
-use scopeservo_scope::{Kinematics, conformance::check_instrument};
-use scopeservo_twin::{Config, StageConfig};
+use scopeservo_scope::Kinematics;
+use scopeservo_scope::conformance::{check_instrument, check_replug};
+use scopeservo_twin::{Config, StageConfig, StageFault};
+use std::sync::Arc;
 
 #[test]
 fn every_stage_and_kinematics_keeps_the_contract() {
@@ -30,7 +32,17 @@ fn every_stage_and_kinematics_keeps_the_contract() {
             let mut config = Config::realistic().with_stage(stage);
             config.camera = camera.clone();
             let bench = Bench::new(config, waves());
-            for check in check_instrument(&bench.instrument()) {
+            let mut checks = check_instrument(&bench.instrument());
+            let (replug, _) = check_replug(
+                Arc::new(bench.instrument()),
+                || bench.twin.fault(StageFault::Unplugged(true)),
+                || {
+                    bench.twin.fault(StageFault::Unplugged(false));
+                    Ok(Arc::new(bench.instrument()))
+                },
+            );
+            checks.extend(replug);
+            for check in checks {
                 assert_eq!(
                     check.outcome,
                     Ok(()),
