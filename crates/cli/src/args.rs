@@ -42,9 +42,9 @@ pub(crate) enum Command {
     Twin(TwinCommand),
 }
 
-/// Which instrument.
+/// Where the instrument is described.
 #[derive(Debug, Args)]
-pub(crate) struct InstrumentArgs {
+pub(crate) struct ConfigArgs {
     /// The description of the instrument.
     #[arg(
         long,
@@ -53,6 +53,13 @@ pub(crate) struct InstrumentArgs {
         env = "SCOPESERVO_CONFIG"
     )]
     pub(crate) config: PathBuf,
+}
+
+/// Which instrument, and what it may do on opening.
+#[derive(Debug, Args)]
+pub(crate) struct InstrumentArgs {
+    #[command(flatten)]
+    pub(crate) description: ConfigArgs,
     /// Allow homing when the stage needs it: it may move anything anywhere.
     #[arg(long)]
     pub(crate) home: bool,
@@ -158,14 +165,8 @@ pub(crate) struct TargetSaveArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct TargetListArgs {
-    /// The description of the instrument.
-    #[arg(
-        long,
-        value_name = "FILE",
-        default_value = "scopeservo.toml",
-        env = "SCOPESERVO_CONFIG"
-    )]
-    pub(crate) config: PathBuf,
+    #[command(flatten)]
+    pub(crate) description: ConfigArgs,
     /// Print one JSON object on stdout instead.
     #[arg(long)]
     pub(crate) json: bool,

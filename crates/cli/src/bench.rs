@@ -1,6 +1,7 @@
 //! The demo's bench: a simulated microscope with a slide on it, the saving of the target, and the displacing of the slide.
 
 use crate::args::{DemoArgs, Noise};
+use crate::desk::rein_in;
 use crate::error::CliError;
 use crate::progress::Watcher;
 use crate::scene::{self, Scene};
@@ -13,7 +14,7 @@ use std::sync::Arc;
 /// The simulated bench: a microscope with the slide on it, and what only the simulation knows.
 pub(crate) struct Bench {
     pub(crate) twin: Twin,
-    pub(crate) scope: Instrument,
+    pub(crate) scope: Arc<Instrument>,
     pub(crate) specimen: Arc<dyn Specimen>,
     pub(crate) scene: Scene,
 }
@@ -33,25 +34,15 @@ impl Bench {
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
         let twin = Twin::new(config, specimen.clone(), args.seed, clock.clone())?;
         let cancel = CancelToken::new();
-        let (wish, stage) = (cancel.clone(), twin.stage());
-        ctrlc::set_handler(move || {
-            if wish.is_cancelled() {
-                // Asked twice: the stage was told to stop, and nobody waits any longer.
-                std::process::exit(1);
-            }
-            wish.cancel();
-            // From here too, should the working thread hang in a device.
-            if let Err(error) = stage.stop() {
-                eprintln!("scopeservo: the stage did not take the stop: {error}");
-            }
-        })
-        .map_err(|e| CliError::Internal(format!("Ctrl-C could not be provided for: {e}")))?;
+        let reins = rein_in(&cancel)?;
         let scope = Instrument::new(
             MotionGate::new(twin.stage(), twin.nosepiece(), twin.rules())?,
             twin.camera(),
             clock,
             cancel,
         );
+        let scope = Arc::new(scope);
+        let _ = reins.set(Arc::downgrade(&scope));
         Ok(Bench {
             twin,
             scope,
@@ -68,7 +59,7 @@ pub(crate) fn save_target(
     vision: &VisionOptions,
     watcher: &mut Watcher,
 ) -> Result<Result<(Target, Truth), ServoError>, CliError> {
-    let scope = &bench.scope;
+    let scope = &*bench.scope;
     let best = scope
         .gate()
         .objectives()

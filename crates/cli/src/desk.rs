@@ -6,7 +6,9 @@ use crate::store::Store;
 use scopeservo_scope::{CancelToken, Instrument, Objective, ObjectiveId};
 use scopeservo_setup::{Config, Consent, Opened, open};
 use std::io::{BufRead, IsTerminal};
-use std::sync::{Arc, OnceLock, Weak};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
+use std::time::Duration;
 
 /// What a command works at.
 pub(crate) struct Desk {
@@ -47,7 +49,7 @@ pub(crate) fn rein_in(cancel: &CancelToken) -> Result<Reins, CliError> {
 
 impl Desk {
     pub(crate) fn open(args: &InstrumentArgs) -> Result<Self, CliError> {
-        let config = Config::read(&args.config)?;
+        let config = Config::read(&args.description.config)?;
         let store = Store::new(config.resolve(&config.data_folder));
         let cancel = CancelToken::new();
         let reins = rein_in(&cancel)?;
@@ -90,8 +92,28 @@ fn names(scope: &Instrument) -> String {
     all.map(|o| o.id.0.as_str()).collect::<Vec<_>>().join(", ")
 }
 
+/// Lines typed at the terminal. One reader for all questions: one that was given up would otherwise eat the answer to the next.
+fn typed() -> &'static Mutex<Receiver<String>> {
+    static TYPED: OnceLock<Mutex<Receiver<String>>> = OnceLock::new();
+    TYPED.get_or_init(|| {
+        let (tell, lines) = mpsc::channel();
+        std::thread::spawn(move || {
+            for line in std::io::stdin().lock().lines() {
+                let Ok(line) = line else { return };
+                if tell.send(line).is_err() {
+                    return;
+                }
+            }
+        });
+        Mutex::new(lines)
+    })
+}
+
+/// How often one who waits for an answer looks whether it is still wanted.
+const LOOK: Duration = Duration::from_millis(50);
+
 /// Asks whoever sits at the terminal to turn the nosepiece.
-fn ask(objective: &Objective) -> bool {
+fn ask(objective: &Objective, wanted: &dyn Fn() -> bool) -> bool {
     let id = &objective.id;
     if !std::io::stdin().is_terminal() {
         eprintln!(
@@ -99,8 +121,16 @@ fn ask(objective: &Objective) -> bool {
         );
         return false;
     }
+    let lines = typed().lock().unwrap_or_else(PoisonError::into_inner);
+    // What was typed before the question is no answer to it.
+    while lines.try_recv().is_ok() {}
     eprintln!("Turn the nosepiece to {id}, then press Enter. Type n to end.");
-    let mut line = String::new();
-    let read = std::io::stdin().lock().read_line(&mut line);
-    read.is_ok_and(|n| n > 0) && !line.trim().eq_ignore_ascii_case("n")
+    while wanted() {
+        match lines.recv_timeout(LOOK) {
+            Ok(line) => return !line.trim().eq_ignore_ascii_case("n"),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return false,
+        }
+    }
+    false
 }

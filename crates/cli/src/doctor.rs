@@ -5,7 +5,7 @@ use crate::desk::Desk;
 use crate::error::CliError;
 use crate::output::{self, SCHEMA};
 use scopeservo_scope::conformance::{self, Check};
-use scopeservo_scope::{Axis, ChangeRule, Frame, Instrument, Motion, Samples, ScopeError};
+use scopeservo_scope::{ChangeRule, Frame, Instrument, Motion, Samples, ScopeError};
 use scopeservo_servo::sharpness;
 use scopeservo_sift::{GrayImage, Options, Sift};
 use serde::Serialize;
@@ -194,14 +194,11 @@ fn nosepiece(scope: &Instrument, findings: &mut Findings) {
     findings.look("objectives change", Ok(rule));
 }
 
-/// Whether the nosepiece would turn where the stage stands.
+/// Whether the nosepiece would turn where the stage stands, by a rule that names a height.
 fn retracted(scope: &Instrument) -> bool {
     let gate = scope.gate();
-    let ChangeRule::Retracted { z, .. } = gate.rules().change else {
-        return false;
-    };
-    let here = gate.position().ok().and_then(|at| at.si(Axis::Z));
-    here.is_some_and(|here| gate.info().positive_z.nearer_by(here, z) <= 0.0)
+    matches!(gate.rules().change, ChangeRule::Retracted { .. })
+        && gate.at_work().is_ok_and(|work| work.is_none())
 }
 
 /// Shares of samples at full scale and above a twentieth of it, and the mean of all, 0 to 1.

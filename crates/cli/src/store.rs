@@ -2,13 +2,15 @@
 //! once.
 
 use crate::error::CliError;
-use crate::views::write_json;
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder as _};
 use scopeservo_scope::{Channels, Frame, Length, ObjectiveId, Samples, StagePose, Timestamp};
 use scopeservo_servo::{Calibration, Target};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -62,8 +64,9 @@ impl Store {
         let mut all = BTreeMap::new();
         let folders = entries(&self.folder.join("calibrations"))?;
         for folder in folders.into_iter().filter(|f| f.is_dir()) {
-            // Names are times: the last one is the newest.
-            if let Some(path) = entries(&folder)?.into_iter().rfind(|p| is_json(p)) {
+            // Numbered in the order in which they were made, whatever a clock said.
+            let files = entries(&folder)?.into_iter().filter(|p| is_json(p));
+            if let Some(path) = files.max_by_key(|p| (number_of(p), p.clone())) {
                 let kept: KeptCalibration = read(&path)?;
                 all.insert(kept.calibration.objective.clone(), kept);
             }
@@ -82,17 +85,26 @@ impl Store {
         let folder = self.calibrations_of(&calibration.objective);
         make(&folder)?;
         let made = utc(SystemTime::now());
-        let path = free(&folder, &made.replace(':', "-"))?;
         let kept = KeptCalibration {
             schema: SCHEMA,
-            made,
+            made: made.clone(),
             instrument: instrument.into(),
             calibration: calibration.clone(),
             focus_z_um: focus_z.map(Length::um),
             residual_px,
         };
-        write_json(&path, &kept)?;
-        Ok(path)
+        let last = entries(&folder)?.iter().map(|p| number_of(p)).max();
+        let mut number = last.unwrap_or(0) + 1;
+        loop {
+            let name = format!("{number:06}_{}.json", made.replace(':', "-"));
+            let path = folder.join(name);
+            // Another process may make one at the same time: whichever comes second takes the next number.
+            let taken = entries(&folder)?.iter().any(|p| number_of(p) == number);
+            if !taken && write_new(&path, &to_json(&kept)?)? {
+                return Ok(path);
+            }
+            number += 1;
+        }
     }
 
     fn targets(&self) -> PathBuf {
@@ -114,10 +126,7 @@ impl Store {
         let path = self.target_file(name)?;
         for path in [path.with_extension("png"), path] {
             if path.exists() {
-                return Err(CliError::Usage(format!(
-                    "there is a target '{name}' already ({}), and none is overwritten: give another name, or move its files away",
-                    path.display()
-                )));
+                return Err(taken(name, &path));
             }
         }
         Ok(())
@@ -142,19 +151,18 @@ impl Store {
             stage,
             target,
         };
-        write_json(&path, &kept)?;
+        let (width, height) = (frame.width as u32, frame.height as u32);
+        let mut png = Vec::new();
+        PngEncoder::new(&mut png)
+            .write_image(&frame.rgb8(), width, height, ExtendedColorType::Rgb8)
+            .map_err(|e| CliError::Internal(format!("the target's picture: {e}")))?;
         let picture = path.with_extension("png");
-        image::save_buffer(
-            &picture,
-            &frame.rgb8(),
-            frame.width as u32,
-            frame.height as u32,
-            image::ExtendedColorType::Rgb8,
-        )
-        .map_err(|e| CliError::Write {
-            path: picture,
-            source: std::io::Error::other(e),
-        })?;
+        // Another process may save one at the same time: the name belongs to whichever comes first.
+        for (file, bytes) in [(&path, to_json(&kept)?), (&picture, png)] {
+            if !write_new(file, &bytes)? {
+                return Err(taken(name, file));
+            }
+        }
         Ok(path)
     }
 
@@ -250,16 +258,50 @@ fn make(folder: &Path) -> Result<(), CliError> {
     })
 }
 
-/// A file that is not there yet, after those of the same second.
-fn free(folder: &Path, stem: &str) -> Result<PathBuf, CliError> {
-    let name = |k: usize| match k {
-        0 => folder.join(format!("{stem}.json")),
-        _ => folder.join(format!("{stem}_{k:03}.json")),
+fn taken(name: &str, path: &Path) -> CliError {
+    CliError::Usage(format!(
+        "there is a target '{name}' already ({}), and none is overwritten: give another name, or move its files away",
+        path.display()
+    ))
+}
+
+/// The number before a file's time; 0 for one without.
+fn number_of(path: &Path) -> u64 {
+    let stem = path.file_stem().and_then(|s| s.to_str());
+    let number = stem.and_then(|s| s.split_once('_')).map(|(n, _)| n.parse());
+    number.and_then(Result::ok).unwrap_or(0)
+}
+
+fn to_json(value: &impl Serialize) -> Result<Vec<u8>, CliError> {
+    serde_json::to_vec_pretty(value)
+        .map_err(|e| CliError::Internal(format!("a file could not be made: {e}")))
+}
+
+/// Writes a file whole or not at all, and never over another: `false` when there is one of that name.
+fn write_new(path: &Path, bytes: &[u8]) -> Result<bool, CliError> {
+    let failed = |source: std::io::Error| CliError::Write {
+        path: path.into(),
+        source,
     };
-    (0..1000)
-        .map(name)
-        .find(|p| !p.exists())
-        .ok_or_else(|| CliError::Internal(format!("{} is full", folder.display())))
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let mut file = tempfile::Builder::new()
+        .prefix(".scopeservo-")
+        .tempfile_in(folder)
+        .map_err(failed)?;
+    file.write_all(bytes).map_err(failed)?;
+    file.as_file().sync_all().map_err(failed)?;
+    // For whoever may read the folder, as other files are.
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        let mode = fs::Permissions::from_mode(0o644);
+        file.as_file().set_permissions(mode).map_err(failed)?;
+    }
+    match file.persist_noclobber(path) {
+        Ok(_) => Ok(true),
+        Err(e) if e.error.kind() == std::io::ErrorKind::AlreadyExists => Ok(false),
+        Err(e) => Err(failed(e.error)),
+    }
 }
 
 /// A name as a file's: what is no letter or digit as its number.
@@ -327,6 +369,10 @@ mod tests {
             parfocal_offset_m: None,
         };
         let z = Some(Length::from_um(-12.5));
+        // One from before files were numbered, and from a clock that was ahead.
+        let folder = store.calibrations_of(&ObjectiveId("Plan 40x/0.65".into()));
+        fs::create_dir_all(&folder).unwrap();
+        fs::write(folder.join("2099-01-01T00-00-00Z.json"), "{}").unwrap();
         let files: Vec<PathBuf> = [1e-7, 2e-7, 3e-7]
             .map(|s| {
                 store
@@ -345,6 +391,25 @@ mod tests {
         fs::write(&files[2], "{\"schema\":7}").unwrap();
         let newer = store.calibrations().unwrap_err().to_string();
         assert!(newer.contains("schema 7"), "{newer}");
+    }
+
+    #[test]
+    fn many_at_once_lose_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("name.json");
+        let won = std::thread::scope(|s| {
+            let all: Vec<_> = (0..8u8)
+                .map(|k| {
+                    let path = &path;
+                    s.spawn(move || write_new(path, &[k; 1000]).unwrap().then_some(k))
+                })
+                .collect();
+            let won = all.into_iter().filter_map(|t| t.join().unwrap());
+            won.collect::<Vec<_>>()
+        });
+        assert_eq!(won.len(), 1);
+        assert_eq!(fs::read(&path).unwrap(), vec![won[0]; 1000]);
+        assert_eq!(entries(dir.path()).unwrap().len(), 1);
     }
 
     #[test]

@@ -209,7 +209,7 @@ impl Sink for LastFrame<'_> {
 }
 
 pub(crate) fn save_target(args: &TargetSaveArgs) -> Result<bool, CliError> {
-    let config = Config::read(&args.instrument.config)?;
+    let config = Config::read(&args.instrument.description.config)?;
     Store::new(config.resolve(&config.data_folder)).check_new_target(&args.name)?;
     let desk = Desk::open(&args.instrument)?;
     let objective = desk.objective(args.objective.as_deref())?;
@@ -260,7 +260,7 @@ pub(crate) fn save_target(args: &TargetSaveArgs) -> Result<bool, CliError> {
 const MIN_FEATURES: usize = 30;
 
 pub(crate) fn list_targets(args: &TargetListArgs) -> Result<bool, CliError> {
-    let config = Config::read(&args.config)?;
+    let config = Config::read(&args.description.config)?;
     let store = Store::new(config.resolve(&config.data_folder));
     let mut rows = Vec::new();
     for name in store.target_names()? {
@@ -294,7 +294,7 @@ pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
     let started = Instant::now();
     check_servo(args.lambda, args.max_iterations)?;
     // What can be wrong without the instrument is found before it is touched.
-    let config = Config::read(&args.instrument.config)?;
+    let config = Config::read(&args.instrument.description.config)?;
     let kept = Store::new(config.resolve(&config.data_folder)).target(&args.name)?;
     if kept.instrument != config.name {
         return Err(CliError::Usage(format!(

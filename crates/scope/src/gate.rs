@@ -11,6 +11,15 @@ use std::sync::{Mutex, MutexGuard};
 /// Two heights nearer to each other than this are the same: 1 um.
 const SAME_HEIGHT_M: f64 = 1e-6;
 
+/// A stage that stands where the nosepiece may not turn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AtWork {
+    /// Its height, m.
+    pub here_m: f64,
+    /// From where on the nosepiece may turn, m.
+    pub retracted_m: f64,
+}
+
 /// Stage and nosepiece behind their rules. There is no way to move an [`crate::Instrument`] but through this type: a request is
 /// carried out whole, or refused whole with the reason.
 ///
@@ -192,18 +201,11 @@ impl MotionGate {
                 device: "nosepiece",
             });
         }
-        if let ChangeRule::Retracted { z, .. } = self.rules.change {
-            let here = self
-                .stage
-                .position()?
-                .si(Axis::Z)
-                .ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
-            if !at_most(self.positive_z().nearer_by(here, z), self.same_height_m()) {
-                return Err(ScopeError::NotRetracted {
-                    at_um: here * 1e6,
-                    needed_um: z * 1e6,
-                });
-            }
+        if let Some(work) = self.at_work()? {
+            return Err(ScopeError::NotRetracted {
+                at_um: work.here_m * 1e6,
+                needed_um: work.retracted_m * 1e6,
+            });
         }
         if self.narrows() {
             // Where the stage stands the objective that comes must be allowed, too.
@@ -212,6 +214,24 @@ impl MotionGate {
         }
         self.begun(self.nosepiece.start_change(to))?;
         self.stopped_meanwhile(stops)
+    }
+
+    /// Where the stage is when the nosepiece may not turn there; `None` when it may.
+    ///
+    /// # Errors
+    /// What the stage reports; [`ScopeError::NoSuchAxis`] when a rule names a height and the stage tells none.
+    pub fn at_work(&self) -> Result<Option<AtWork>, ScopeError> {
+        let ChangeRule::Retracted { z, .. } = self.rules.change else {
+            return Ok(None);
+        };
+        let here = self.stage.position()?.si(Axis::Z);
+        let here_m = here.ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
+        let nearer = self.positive_z().nearer_by(here_m, z);
+        let retracted = at_most(nearer, self.same_height_m());
+        Ok((!retracted).then_some(AtWork {
+            here_m,
+            retracted_m: z,
+        }))
     }
 
     /// The data of one objective.

@@ -7,11 +7,14 @@ use crate::{
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// How often a running move is asked whether it has ended.
 const POLL: Duration = Duration::from_millis(5);
+/// How often one who waits for a frame looks whether a stop was asked for.
+const POLL_CANCEL: Duration = Duration::from_millis(20);
 /// No move of these instruments takes longer.
 const MOVE_TIMEOUT: Duration = Duration::from_secs(120);
 /// Nor an objective change, also by somebody who has to come from next door.
@@ -50,7 +53,7 @@ pub struct Counters {
 /// Everything that a procedure may touch.
 pub struct Instrument {
     gate: MotionGate,
-    camera: Box<dyn Camera>,
+    camera: Arc<dyn Camera>,
     clock: Arc<dyn Clock>,
     cancel: CancelToken,
     /// Where each objective was last in focus.
@@ -71,7 +74,7 @@ impl Instrument {
         gate.obey(cancel.clone());
         Self {
             gate,
-            camera,
+            camera: camera.into(),
             clock,
             cancel,
             focus: Mutex::new(BTreeMap::new()),
@@ -165,26 +168,18 @@ impl Instrument {
         if before.as_ref() == Some(id) {
             return Ok(());
         }
-        let ChangeRule::Retracted {
-            z: retracted,
-            margin,
-        } = self.gate.rules().change
-        else {
+        let ChangeRule::Retracted { margin, .. } = self.gate.rules().change else {
             return self.turn(id);
         };
         let to = |z: f64| StagePose::default().with_si(Axis::Z, z);
-        let here = self
-            .gate
-            .position()?
-            .si(Axis::Z)
-            .ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
         let side = self.gate.positive_z();
-        let at_work = side.nearer_by(here, retracted) > 0.0;
-        if at_work {
-            self.move_to(&to(retracted))?;
+        let work = self.gate.at_work()?;
+        if let Some(work) = work {
+            self.move_to(&to(work.retracted_m))?;
         }
         self.turn(id)?;
-        if at_work {
+        if let Some(work) = work {
+            let here = work.here_m;
             let heights = self.focus_heights();
             let known = before.and_then(|old| Some((heights.get(&old)?, heights.get(id)?)));
             let expected = match known {
@@ -197,7 +192,7 @@ impl Instrument {
                 .filter(|l| l.axis == Axis::Z)
                 .map(|l| l.step)
                 .fold(f64::INFINITY, f64::min);
-            let mut at = retracted;
+            let mut at = work.retracted_m;
             while side.nearer_by(expected, at) > longest {
                 // A little less, so that rounding is no reason to refuse.
                 at = side.away(at, -0.999 * longest);
@@ -233,9 +228,26 @@ impl Instrument {
     /// [`ScopeError::Interrupted`], or what the camera reports.
     pub fn grab(&self) -> Result<Frame, ScopeError> {
         self.check_cancel()?;
-        let frame = self.camera.grab()?;
-        self.frames.fetch_add(1, Ordering::SeqCst);
-        Ok(frame)
+        let (tell, told) = mpsc::channel();
+        let camera = self.camera.clone();
+        // Whoever asks for a stop need not wait for a long exposure: the camera ends it by itself, and nobody looks.
+        std::thread::spawn(move || tell.send(camera.grab()));
+        loop {
+            match told.recv_timeout(POLL_CANCEL) {
+                Ok(frame) => {
+                    let frame = frame?;
+                    self.frames.fetch_add(1, Ordering::SeqCst);
+                    return Ok(frame);
+                }
+                Err(RecvTimeoutError::Timeout) => self.check_cancel()?,
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Err(ScopeError::Device {
+                        device: "camera",
+                        detail: "its driver broke down".into(),
+                    });
+                }
+            }
+        }
     }
 
     /// An error when a stop was asked for.
@@ -458,5 +470,46 @@ mod tests {
             "{place:?}"
         );
         assert!((seconds - MOVE_TIMEOUT.as_secs_f64()).abs() < 1.0);
+    }
+
+    /// A camera that exposes for a minute.
+    struct Night(Absent);
+
+    impl Camera for Night {
+        fn info(&self) -> &crate::CameraInfo {
+            Camera::info(&self.0)
+        }
+        fn exposure(&self) -> Result<Duration, ScopeError> {
+            Ok(Duration::from_secs(60))
+        }
+        fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
+            Ok(exposure)
+        }
+        fn grab(&self) -> Result<Frame, ScopeError> {
+            std::thread::sleep(Duration::from_secs(60));
+            self.0.grab()
+        }
+    }
+
+    #[test]
+    fn a_stop_does_not_wait_for_a_long_exposure() {
+        let cancel = CancelToken::new();
+        let rules = Rules::travel_only(ChangeRule::Anywhere);
+        let gate =
+            MotionGate::new(Box::new(Absent::new()), Box::new(Absent::new()), rules).unwrap();
+        let clock = Arc::new(crate::SystemClock::new());
+        let camera = Box::new(Night(Absent::new()));
+        let scope = Instrument::new(gate, camera, clock.clone(), cancel.clone());
+        std::thread::scope(|s| {
+            let grab = s.spawn(|| scope.grab());
+            std::thread::sleep(Duration::from_millis(50));
+            cancel.cancel();
+            let answer = grab.join().unwrap();
+            assert!(
+                matches!(answer, Err(ScopeError::Interrupted { .. })),
+                "{answer:?}"
+            );
+        });
+        assert!(clock.now().seconds() < 5.0);
     }
 }

@@ -26,7 +26,7 @@ pub use absent::Absent;
 pub use camera::{Camera, CameraInfo, Channels, Frame, Samples};
 pub use clock::{Clock, SystemClock, Timestamp, VirtualClock};
 pub use error::{ErrorKind, ScopeError};
-pub use gate::MotionGate;
+pub use gate::{AtWork, MotionGate};
 pub use instrument::{CancelToken, Counters, Instrument};
 pub use nosepiece::{Nosepiece, Objective, ObjectiveId};
 pub use rules::{AxisRange, ChangeRule, LargestStep, Limits, Rules, Workspace, Zone};

@@ -3,8 +3,9 @@
 use scopeservo_scope::{Motion, Nosepiece, Objective, ObjectiveId, ScopeError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Asks somebody to bring an objective into the beam, and waits. `false` when they will not.
-pub type Ask = Arc<dyn Fn(&Objective) -> bool + Send + Sync>;
+/// Asks somebody to bring an objective into the beam, and waits while the second argument says that the answer is wanted. `false` when
+/// they will not, or it is wanted no more.
+pub type Ask = Arc<dyn Fn(&Objective, &dyn Fn() -> bool) -> bool + Send + Sync>;
 
 /// A nosepiece that somebody turns when asked to.
 pub(crate) struct ByHand {
@@ -77,9 +78,10 @@ impl Nosepiece for ByHand {
         };
         let (ask, state) = (self.ask.clone(), self.state.clone());
         std::thread::spawn(move || {
-            let done = ask(&objective);
+            let wanted = |state: &State| state.asked == turn && state.motion == Motion::Moving;
+            let done = ask(&objective, &|| wanted(&lock(&state)));
             let mut state = lock(&state);
-            if state.asked == turn && state.motion == Motion::Moving {
+            if wanted(&state) {
                 state.current = done.then(|| objective.id.clone());
                 state.motion = match done {
                     true => Motion::Settled,
@@ -149,7 +151,7 @@ mod tests {
     fn somebody_is_asked_and_waited_for() {
         let (answer, answers) = channel();
         let answers = Mutex::new(answers);
-        let ask: Ask = Arc::new(move |_| answers.lock().unwrap().recv().unwrap());
+        let ask: Ask = Arc::new(move |_, _| answers.lock().unwrap().recv().unwrap());
         let nosepiece = ByHand::new(objectives(), ask);
         let id = |name: &str| ObjectiveId(name.into());
         assert_eq!(nosepiece.current(), Ok(None));
@@ -184,7 +186,7 @@ mod tests {
     fn a_single_objective_is_in_the_beam() {
         let mut all = objectives();
         all.truncate(1);
-        let nosepiece = ByHand::new(all, Arc::new(|_| false));
+        let nosepiece = ByHand::new(all, Arc::new(|_, _| false));
         assert!(!nosepiece.is_unproven());
         assert_eq!(nosepiece.current(), Ok(Some(ObjectiveId("10x".into()))));
     }

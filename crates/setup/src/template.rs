@@ -22,6 +22,12 @@ program = ["python3", "my_driver.py"]
 # tcp = "127.0.0.1:7414"
 # secret_file = "secret.txt"      # where it asks for one
 
+# What needs no program: gcs2, gcode and sangaboard stages; mjpeg, snapshot, folder and v4l cameras (docs/adding-a-device.md has them).
+# [drivers.eye.mjpeg.settings]
+# url = "http://192.168.1.20:8080/stream"
+# latency_ms = 250                # from the start of an exposure until the picture is here, at the most
+# exposure.now_ms = 10
+
 [devices]
 stage = "main"
 camera = "main"

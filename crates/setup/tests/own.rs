@@ -27,7 +27,7 @@ fn opened(own: &str, home: bool) -> Result<Opened, SetupError> {
     let config = Config::parse(&text, Path::new("scopeservo.toml"))?;
     let consent = Consent {
         home,
-        ask: Arc::new(|_| false),
+        ask: Arc::new(|_, _| false),
     };
     open(&config, &consent, CancelToken::new())
 }
