@@ -246,8 +246,10 @@ fn python_microscopes_stage_aware_camera_is_driven_within_its_limits() {
 }
 
 /// python-microscope's own device server; ended by a signal, so that it ends its devices.
+#[cfg(unix)]
 struct DeviceServer(Child);
 
+#[cfg(unix)]
 impl Drop for DeviceServer {
     fn drop(&mut self) {
         let _ = Command::new("kill").arg(self.0.id().to_string()).status();

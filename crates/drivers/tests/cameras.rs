@@ -1,8 +1,13 @@
 //! Cameras on the web against an emulated one that delays, buffers, fails and disconnects.
 
+mod common;
+
+use common::Random;
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
-use scopeservo_drivers::camera::http::Login;
+use scopeservo_drivers::camera::http::{Login, decode_head};
+use scopeservo_drivers::camera::multipart::Parts;
+use scopeservo_drivers::camera::picture;
 use scopeservo_drivers::camera::{
     ExposureSettings, MjpegSettings, SnapshotCamera, SnapshotSettings, mjpeg_camera,
 };
@@ -274,4 +279,75 @@ fn the_wrong_address_is_told_with_what_to_do() {
     assert!(SnapshotCamera::connect(&settings, None, clock()).is_err());
     assert!(started.elapsed() < Duration::from_secs(2));
     assert!(clock().now().seconds() < 1.0);
+}
+
+/// What answers and streams are made of.
+const PIECES: [&[u8]; 22] = [
+    b"HTTP/1.1 200 OK\r\n",
+    b"HTTP/1.0 404 \r\n",
+    b"Content-Length: 3\r\n",
+    b"content-length: 99999999999999999999\r\n",
+    b"Transfer-Encoding: chunked\r\n",
+    b"Content-Type: image/jpeg\r\n",
+    b"\r\n",
+    b"\n",
+    b"--b",
+    b"--b--",
+    b"--",
+    b"3\r\n",
+    b"0\r\n",
+    b"ffffffffffffffff\r\n",
+    b"abc",
+    b"\xff\xd8",
+    b"\xff\xd9",
+    b"\xff\xc4\x00\x00",
+    b"\xff\xda",
+    b"\x89PNG\r\n\x1a\n",
+    b"II*\x00",
+    b"\x00\x00",
+];
+
+#[test]
+fn whatever_comes_and_however_it_is_cut_says_the_same_and_breaks_nothing() {
+    let mut random = Random(11);
+    let (mut bodies, mut pictures) = (0, 0);
+    for _ in 0..20_000 {
+        let mut bytes = match random.below(3) {
+            0 => b"HTTP/1.1 200 OK\r\n".to_vec(),
+            1 => b"--b\r\n".to_vec(),
+            _ => Vec::new(),
+        };
+        for _ in 0..random.below(16) {
+            bytes.extend_from_slice(random.of(&PIECES));
+        }
+        let cuts = [1 + random.below(7), bytes.len().max(1)];
+        let body = |cut: usize| {
+            let (mut head, length) = decode_head(&bytes).ok()??;
+            let mut body = Vec::new();
+            for mut chunk in bytes[length..].chunks(cut) {
+                while !chunk.is_empty() && !head.body_is_whole() {
+                    let used = head.take_body(chunk, &mut body).ok()?;
+                    chunk = &chunk[used..];
+                }
+            }
+            Some((body, head.body_is_whole()))
+        };
+        let parts = |cut: usize| {
+            let mut parts = Parts::new("multipart/x-mixed-replace; boundary=b").ok()?;
+            let mut all = Vec::new();
+            for chunk in bytes.chunks(cut) {
+                parts.feed().extend_from_slice(chunk);
+                while let Some(picture) = parts.take().ok()? {
+                    all.push(picture);
+                }
+            }
+            Some(all)
+        };
+        assert_eq!(body(cuts[0]), body(cuts[1]), "{}", bytes.escape_ascii());
+        assert_eq!(parts(cuts[0]), parts(cuts[1]), "{}", bytes.escape_ascii());
+        bodies += usize::from(body(1).is_some_and(|(body, _)| !body.is_empty()));
+        pictures += parts(1).map_or(0, |p| p.len());
+        assert!(picture::decode(&bytes).is_err());
+    }
+    assert!(bodies > 100 && pictures > 100, "{bodies} {pictures}");
 }

@@ -2,7 +2,9 @@
 
 use scopeservo_protocol::{Devices, Driver, DriverError};
 use scopeservo_scope::{Axis, Clock, ScopeError, StagePose, SystemClock};
-use std::io::{BufRead, BufReader, Read, Write};
+#[cfg(unix)]
+use std::io::Read;
+use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};

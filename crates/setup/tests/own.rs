@@ -2,7 +2,7 @@
 
 use scopeservo_drivers::emulator::gcs2::{EmulatedStage, Gcs2Emulator};
 use scopeservo_drivers::emulator::sangaboard::{EmulatedSanga, SangaEmulator};
-use scopeservo_scope::{Axis, CancelToken, ScopeError, StagePose};
+use scopeservo_scope::{Axis, CancelToken, ObjectiveId, ScopeError, StagePose};
 use scopeservo_setup::{Config, Consent, Opened, SetupError, open};
 use std::path::Path;
 use std::sync::Arc;
@@ -120,4 +120,84 @@ fn a_device_that_is_not_there_is_said_so() {
         both.to_string().contains("exactly one of tcp and serial"),
         "{both}"
     );
+}
+
+#[test]
+fn a_nosepiece_on_the_stages_controller_turns_where_the_file_allows_it() {
+    let mut stage = EmulatedStage::hexapod_and(&[("A", 180.0)]);
+    stage.velocity = 300.0;
+    let emulator = Gcs2Emulator::serve(stage).unwrap();
+    let objective = |id: &str, deg: f64| {
+        format!(
+            "[[drivers.own.gcs2.settings.nosepiece.objectives]]\nid = \"{id}\"\nmagnification = 100\n\
+             numerical_aperture = 0.25\num_per_px = 2.2\nat_deg = {deg}\n"
+        )
+    };
+    let text = format!(
+        "name = \"bench\"\n{}[drivers.own.gcs2.settings.nosepiece]\nname = \"A\"\narrival_tolerance_deg = 0.1\n{}{}\
+         [drivers.eye.twin]\n[devices]\nstage = \"own\"\ncamera = \"eye\"\nnosepiece = \"own\"\n\
+         [objective_change]\nretract_z_um = -2000\nmargin_um = 50\n",
+        gcs2(&emulator.address()),
+        objective("10x", 0.0),
+        objective("40x", 90.0)
+    );
+    let config = Config::parse(&text, Path::new("scopeservo.toml")).unwrap();
+    let consent = Consent {
+        home: false,
+        ask: Arc::new(|_, _| false),
+    };
+    let opened = open(&config, &consent, CancelToken::new()).unwrap();
+    let (gate, id) = (opened.instrument.gate(), ObjectiveId("40x".into()));
+    let refused = gate.start_change(&id).unwrap_err();
+    assert!(matches!(refused, ScopeError::NotRetracted { .. }));
+    opened.instrument.select_objective(&id).unwrap();
+    let truth = emulator.truth();
+    // Retracted, turned, and back as far as the margin allows.
+    assert!((truth[6] - 90.0).abs() < 1e-6, "{truth:?}");
+    assert!((truth[2] + 0.05).abs() < 1e-4, "{truth:?}");
+    assert_eq!(gate.current_objective(), Ok(Some(id)));
+    assert!(!gate.objective_is_unproven());
+}
+
+#[test]
+fn cameras_of_our_own_say_what_is_wrong_with_them() {
+    let camera = |camera: &str| {
+        let text = format!(
+            "name = \"bench\"\n[drivers.t.twin]\n{camera}\n[devices]\nstage = \"t\"\ncamera = \"eye\"\nnosepiece = \"t\"\n\
+             [objective_change]\nanywhere = true\n"
+        );
+        let config = Config::parse(&text, Path::new("scopeservo.toml"));
+        let consent = Consent {
+            home: false,
+            ask: Arc::new(|_, _| false),
+        };
+        let opened = config.and_then(|c| open(&c, &consent, CancelToken::new()));
+        opened.err().unwrap().to_string()
+    };
+    let web = |more: &str, url: &str| {
+        camera(&format!(
+            "[drivers.eye.mjpeg]\n{more}\nsettings = {{ url = \"{url}\", latency_ms = 100, exposure = {{ now_ms = 10 }} }}"
+        ))
+    };
+    let nobody = web("", "http://127.0.0.1:9/stream");
+    assert!(nobody.contains("the camera is lost"), "{nobody}");
+    let secure = web("", "https://127.0.0.1/stream");
+    assert!(secure.contains("encrypted"), "{secure}");
+    let half = web("user = \"me\"", "http://127.0.0.1:9/");
+    assert!(
+        half.contains("user and password_file belong together"),
+        "{half}"
+    );
+    let none = web(
+        "user = \"me\"\npassword_file = \"none.txt\"",
+        "http://127.0.0.1:9/",
+    );
+    assert!(none.contains("none.txt"), "{none}");
+    let folder =
+        camera("[drivers.eye.folder]\npath = \"nowhere\"\norder = \"in-turn\"\nexposure_ms = 10");
+    assert!(folder.contains("nowhere"), "{folder}");
+    let video = camera(
+        "[drivers.eye.v4l]\ndevice = \"/dev/null\"\nwidth_px = 640\nheight_px = 480\nformat = \"yuyv\"\nlatency_ms = 100",
+    );
+    assert!(video.contains("/dev/null"), "{video}");
 }
