@@ -10,7 +10,7 @@ use scopeservo_drivers::gcs2::{Gcs2Nosepiece, Gcs2Settings, Gcs2Stage};
 use scopeservo_drivers::turret::TurretPlace;
 use scopeservo_scope::{
     Axis, AxisInfo, ChangeRule, Kinematics, Motion, MotionGate, Nosepiece, ObjectiveId, PositiveZ,
-    Rules, ScopeError, Stage, StageInfo, StagePose,
+    Rules, ScopeError, Stage, StagePose,
 };
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -27,33 +27,12 @@ fn places() -> Vec<TurretPlace> {
         .into()
 }
 
-/// The stage for a gate that also keeps it for the nosepiece.
-struct Shared<T>(Arc<T>);
-
-impl<T: Stage> Stage for Shared<T> {
-    fn info(&self) -> &StageInfo {
-        self.0.info()
-    }
-    fn position(&self) -> Result<StagePose, ScopeError> {
-        self.0.position()
-    }
-    fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
-        self.0.start_move(to)
-    }
-    fn poll(&self) -> Result<Motion, ScopeError> {
-        self.0.poll()
-    }
-    fn stop(&self) -> Result<(), ScopeError> {
-        self.0.stop()
-    }
-}
-
 fn gate<T: Stage + 'static>(stage: Arc<T>, nosepiece: Box<dyn Nosepiece>) -> MotionGate {
     let rules = Rules::travel_only(ChangeRule::Retracted {
         z: -1e-3,
         margin: 0.0,
     });
-    MotionGate::new(Box::new(Shared(stage)), nosepiece, rules).unwrap()
+    MotionGate::new(Box::new(stage), nosepiece, rules).unwrap()
 }
 
 fn z(um: f64) -> StagePose {

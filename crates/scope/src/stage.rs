@@ -3,6 +3,7 @@
 use crate::{Angle, Length, ScopeError};
 use serde::{Deserialize, Serialize};
 use std::fmt;
+use std::sync::Arc;
 
 /// One of six axes. Rotations are right-handed about the axis of the same letter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -207,6 +208,25 @@ pub trait Stage: Send + Sync {
     fn poll(&self) -> Result<Motion, ScopeError>;
     /// Stops at once, wherever it is. Harmless when nothing moves.
     fn stop(&self) -> Result<(), ScopeError>;
+}
+
+/// A stage that is kept in two places: by its gate, and by what homes it or turns a nosepiece on the same controller.
+impl<T: Stage + ?Sized> Stage for Arc<T> {
+    fn info(&self) -> &StageInfo {
+        (**self).info()
+    }
+    fn position(&self) -> Result<StagePose, ScopeError> {
+        (**self).position()
+    }
+    fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
+        (**self).start_move(to)
+    }
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        (**self).poll()
+    }
+    fn stop(&self) -> Result<(), ScopeError> {
+        (**self).stop()
+    }
 }
 
 #[cfg(test)]

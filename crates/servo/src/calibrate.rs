@@ -5,10 +5,10 @@ use crate::event::tell;
 use crate::hand_eye::{Observation, covariance, explained_px, solve_hand_eye};
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress};
-use crate::vision::{centre_px, features, grab};
+use crate::vision::{centre_px, features, grab, same_objective};
 use crate::{CALIBRATION_SCHEMA, Calibration, Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
-use scopeservo_registration::{NotFound, Prior, RotationPrior, ScalePrior, register};
+use scopeservo_registration::{NotFound, register};
 use scopeservo_scope::{Axis, Instrument, Objective, ScopeError};
 use scopeservo_sift::Features;
 use serde::{Deserialize, Serialize};
@@ -121,17 +121,7 @@ impl Calibrate {
         let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
         let view = features(&frame, &self.vision.view)?;
         let reference = self.reference.as_ref().ok_or_else(no_reference)?;
-        // Same objective, nearly the same angle: the scale is one.
-        let prior = Prior {
-            scale: Some(ScalePrior {
-                ratio: 1.0,
-                tolerance: 0.03,
-            }),
-            rotation: Some(RotationPrior {
-                angle_rad: 0.0,
-                tolerance_rad: 1.5 * self.options.max_rotation_rad,
-            }),
-        };
+        let prior = same_objective(1.5 * self.options.max_rotation_rad);
         let registration = register(&view, reference, &prior, &self.vision.registration);
         let centre = centre_px(frame.width, frame.height);
         let observation = match &registration.outcome {

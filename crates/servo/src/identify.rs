@@ -4,10 +4,10 @@
 use crate::event::tell;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress};
-use crate::vision::{centre_px, features, grab};
+use crate::vision::{centre_px, features, grab, same_objective};
 use crate::{Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
-use scopeservo_registration::{NotFound, Prior, RotationPrior, ScalePrior, register};
+use scopeservo_registration::{NotFound, register};
 use scopeservo_scope::{Axis, Instrument, Objective, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 
@@ -85,16 +85,7 @@ impl Identify {
         let [(a, centre, first), (b, _, second)] = &seen[..] else {
             return Err(ServoError::BadOption("two views were taken".into()));
         };
-        let prior = Prior {
-            scale: Some(ScalePrior {
-                ratio: 1.0,
-                tolerance: 0.03,
-            }),
-            rotation: Some(RotationPrior {
-                angle_rad: 0.0,
-                tolerance_rad: 0.05,
-            }),
-        };
+        let prior = same_objective(0.05);
         let estimate = match register(second, first, &prior, &self.vision.registration).outcome {
             Ok(estimate) => estimate,
             Err(why) => return Ok(Err(why)),

@@ -2,6 +2,7 @@
 
 use crate::event::tell;
 use crate::{Event, FrameRole, ServoError, Sink};
+use scopeservo_registration::{Prior, RotationPrior, ScalePrior};
 use scopeservo_scope::{Frame, Instrument, ObjectiveId};
 use scopeservo_sift::{Features, GrayImage, Sift, Simd};
 use serde::{Deserialize, Serialize};
@@ -121,6 +122,20 @@ pub(crate) fn features(
         };
         Ok(engine.detect_and_describe(&image))
     })
+}
+
+/// What is known of two views that one objective takes a small move apart: the same scale, and nearly the same angle.
+pub(crate) fn same_objective(tolerance_rad: f64) -> Prior {
+    Prior {
+        scale: Some(ScalePrior {
+            ratio: 1.0,
+            tolerance: 0.03,
+        }),
+        rotation: Some(RotationPrior {
+            angle_rad: 0.0,
+            tolerance_rad,
+        }),
+    }
 }
 
 /// The pixel that everything is measured from: the image's centre, each image its own.

@@ -11,7 +11,7 @@ use scopeservo_drivers::link::{Tcp, Transport};
 use scopeservo_drivers::sangaboard::SangaStage;
 use scopeservo_drivers::turret::Turret;
 use scopeservo_protocol::Devices;
-use scopeservo_scope::{Camera, Clock, Motion, Nosepiece, ScopeError, Stage, StageInfo, StagePose};
+use scopeservo_scope::{Camera, Clock, Nosepiece, ScopeError, Stage};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -141,43 +141,22 @@ fn found<T: Stage + Homing + 'static>(
     Found {
         name: stage.info().name.clone(),
         devices: Devices {
-            stage: is_stage.then(|| Box::new(Kept(stage.clone())) as Box<dyn Stage>),
+            stage: is_stage.then(|| Box::new(stage.clone()) as Box<dyn Stage>),
             camera: None,
             nosepiece: nosepiece.map(|n| Box::new(n) as Box<dyn Nosepiece>),
             light: None,
         },
-        homing: (is_stage && homes).then(|| Box::new(Kept(stage)) as Box<dyn Homing>),
+        homing: (is_stage && homes).then(|| Box::new(stage) as Box<dyn Homing>),
         twin: None,
     }
 }
 
-/// A stage that is kept for homing as well.
-struct Kept<T>(Arc<T>);
-
-impl<T: Stage> Stage for Kept<T> {
-    fn info(&self) -> &StageInfo {
-        self.0.info()
-    }
-    fn position(&self) -> Result<StagePose, ScopeError> {
-        self.0.position()
-    }
-    fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
-        self.0.start_move(to)
-    }
-    fn poll(&self) -> Result<Motion, ScopeError> {
-        self.0.poll()
-    }
-    fn stop(&self) -> Result<(), ScopeError> {
-        self.0.stop()
-    }
-}
-
-impl<T: Homing> Homing for Kept<T> {
+impl<T: Homing> Homing for Arc<T> {
     fn is_homed(&self) -> Result<bool, ScopeError> {
-        self.0.is_homed()
+        (**self).is_homed()
     }
     fn start_homing(&self) -> Result<(), ScopeError> {
-        self.0.start_homing()
+        (**self).start_homing()
     }
 }
 

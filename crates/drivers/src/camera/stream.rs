@@ -75,7 +75,9 @@ impl StreamCamera {
     ) -> Result<Self, ScopeError> {
         let count = Arc::new(AtomicU64::new(0));
         let reader = Reader::start(open()?, count.clone());
-        let (first, _) = reader.fresh(Instant::now(), latency, latency + timeout)?;
+        let (first, _) = reader
+            .shared
+            .fresh(Instant::now(), latency, latency + timeout)?;
         Ok(Self {
             info: info(name, &first, exposing.range()),
             exposing,
@@ -201,15 +203,6 @@ impl Reader {
             shared,
             thread: Some(thread),
         }
-    }
-
-    fn fresh(
-        &self,
-        asked: Instant,
-        latency: Duration,
-        within: Duration,
-    ) -> Result<(Picture, Arrival), ScopeError> {
-        self.shared.fresh(asked, latency, within)
     }
 }
 
