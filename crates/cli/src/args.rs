@@ -86,7 +86,7 @@ pub(crate) struct InitArgs {
 #[command(after_help = "Examples:
   scopeservo doctor
   scopeservo doctor --json
-  scopeservo doctor --allow-motion        also moves every axis a little, with the specimen taken out")]
+  scopeservo doctor --allow-motion        also moves every axis a little, over a specimen that does not matter")]
 pub(crate) struct DoctorArgs {
     #[command(flatten)]
     pub(crate) instrument: InstrumentArgs,

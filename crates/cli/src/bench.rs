@@ -42,7 +42,7 @@ impl Bench {
             cancel,
         );
         let scope = Arc::new(scope);
-        let _ = reins.set(Arc::downgrade(&scope));
+        reins.hold(&scope);
         Ok(Bench {
             twin,
             scope,

@@ -18,21 +18,44 @@ pub(crate) struct Desk {
     pub(crate) drivers: Vec<(String, String)>,
 }
 
-/// What Ctrl-C stops; empty until the instrument is there.
-type Reins = Arc<OnceLock<Weak<Instrument>>>;
+/// What Ctrl-C stops; nothing until an instrument is there.
+#[derive(Clone, Default)]
+pub(crate) struct Reins(Arc<Mutex<Weak<Instrument>>>);
+
+impl Reins {
+    /// From now on it stops this one.
+    pub(crate) fn hold(&self, scope: &Arc<Instrument>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(scope);
+    }
+
+    fn held(&self) -> Option<Arc<Instrument>> {
+        let held = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        held.upgrade()
+    }
+}
+
+/// So many times somebody asks who will not wait for what is being opened.
+const IMPATIENT: u32 = 3;
 
 /// From now on Ctrl-C cancels, and stops what moves.
 pub(crate) fn rein_in(cancel: &CancelToken) -> Result<Reins, CliError> {
-    let reins: Reins = Arc::default();
+    let reins = Reins::default();
     let (wish, held) = (cancel.clone(), reins.clone());
+    let mut asked = 0;
     ctrlc::set_handler(move || {
-        let scope = held.get().and_then(Weak::upgrade);
+        asked += 1;
+        let scope = held.held();
         if wish.is_cancelled() {
             match &scope {
                 // Asked twice: the instrument was told to stop, and nobody waits any longer.
                 Some(_) => std::process::exit(1),
+                None if asked >= IMPATIENT => std::process::exit(1),
                 // It may be homing, and only who homes can stop that.
-                None => return eprintln!("scopeservo: stopping; wait for the instrument"),
+                None => {
+                    return eprintln!(
+                        "scopeservo: stopping; wait for the instrument, or press Ctrl-C once more to leave it as it is"
+                    );
+                }
             }
         }
         wish.cancel();
@@ -63,7 +86,7 @@ impl Desk {
             ..
         } = open(&config, &consent, cancel)?;
         let scope = Arc::new(instrument);
-        let _ = reins.set(Arc::downgrade(&scope));
+        reins.hold(&scope);
         Ok(Self {
             config,
             store,

@@ -112,7 +112,7 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<bool, CliError> {
         }
     } else if !args.json {
         say!(
-            "    motion was not tried: `scopeservo doctor --allow-motion`, with the specimen taken out"
+            "    motion was not tried: `scopeservo doctor --allow-motion`, over a specimen that does not matter, in focus"
         );
     }
     findings.conclude(&desk.config.name)

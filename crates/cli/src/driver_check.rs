@@ -45,7 +45,7 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
     let camera = devices.camera.is_some();
     let nosepiece = devices.nosepiece.is_some();
     let (scope, light) = instrument(devices, args.retract_z_um, &clock, &cancel)?;
-    let _ = reins.set(Arc::downgrade(&scope));
+    reins.hold(&scope);
 
     let mut checks = Vec::new();
     if stage {
@@ -81,7 +81,9 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
         };
         let put_back = || -> Result<Arc<Instrument>, CliError> {
             let devices = open_driver()?.devices(&clock).map_err(SetupError::from)?;
-            Ok(instrument(devices, args.retract_z_um, &clock, &cancel)?.0)
+            let (scope, _) = instrument(devices, args.retract_z_um, &clock, &cancel)?;
+            reins.hold(&scope);
+            Ok(scope)
         };
         // The light would keep the old connection.
         drop(light);

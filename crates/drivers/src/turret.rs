@@ -80,6 +80,8 @@ pub(crate) trait Turns: Send + Sync {
     fn poll_turn(&self) -> Result<Motion, ScopeError>;
     /// Stops it at once.
     fn stop_turn(&self) -> Result<(), ScopeError>;
+    /// It was stopped on the way: where it is, is not known any more, unless the controller measures it.
+    fn doubt_place(&self);
 }
 
 /// A nosepiece that a controller turns.
@@ -91,6 +93,7 @@ pub struct Turret {
     doing: Mutex<Doing>,
     stops: AtomicU64,
     /// Its zero is where it stood when the controller was switched on: somebody's word.
+    zero_is_given: bool,
     unproven: AtomicBool,
 }
 
@@ -127,23 +130,38 @@ impl Turret {
             tolerance_deg,
             doing: Mutex::new(Doing::Nothing),
             stops: AtomicU64::new(0),
+            zero_is_given,
             unproven: AtomicBool::new(zero_is_given),
         }
     }
 
     /// Turns to an objective.
-    fn turn(&self, to: usize, stops: u64) -> Result<Doing, ScopeError> {
-        self.axis.start_turn(self.places_deg[to])?;
-        self.unless_stopped(Doing::Turning, stops)
+    fn turn(&self, doing: &mut Doing, to: usize, stops: u64) -> Result<(), ScopeError> {
+        let begin = || self.axis.start_turn(self.places_deg[to]);
+        self.begin(doing, Doing::Turning, stops, begin)
     }
 
-    /// What has begun, unless somebody has stopped it since `stops`.
-    fn unless_stopped(&self, begun: Doing, stops: u64) -> Result<Doing, ScopeError> {
-        if self.stops.load(Ordering::SeqCst) == stops {
-            return Ok(begun);
+    /// Begins something, unless somebody has stopped it since `stops`. What fails to begin, or is stopped meanwhile, is stopped.
+    fn begin(
+        &self,
+        doing: &mut Doing,
+        what: Doing,
+        stops: u64,
+        begin: impl FnOnce() -> Result<(), ScopeError>,
+    ) -> Result<(), ScopeError> {
+        let stopped = || self.stops.load(Ordering::SeqCst) != stops;
+        *doing = Doing::Stopped;
+        if stopped() {
+            return Ok(());
         }
-        self.axis.stop_turn()?;
-        Ok(Doing::Stopped)
+        let begun = begin();
+        if begun.is_err() || stopped() {
+            // Its own fault is the news.
+            let halted = self.axis.stop_turn();
+            return begun.and(halted);
+        }
+        *doing = what;
+        Ok(())
     }
 }
 
@@ -178,13 +196,11 @@ impl Nosepiece for Turret {
             });
         }
         let mut doing = lock(&self.doing);
-        *doing = if self.axis.knows_place()? {
-            self.turn(index, stops)?
-        } else {
-            self.axis.start_finding()?;
-            self.unless_stopped(Doing::Finding { then: index, stops }, stops)?
-        };
-        Ok(())
+        if self.axis.knows_place()? {
+            return self.turn(&mut doing, index, stops);
+        }
+        let finding = Doing::Finding { then: index, stops };
+        self.begin(&mut doing, finding, stops, || self.axis.start_finding())
     }
 
     fn poll(&self) -> Result<Motion, ScopeError> {
@@ -194,12 +210,14 @@ impl Nosepiece for Turret {
             Doing::Stopped => return Ok(Motion::Stopped),
             Doing::Finding { .. } | Doing::Turning => self.axis.poll_turn()?,
         };
-        *doing = match (now, *doing) {
-            (Motion::Moving, same) => same,
-            (Motion::Stopped, _) => Doing::Stopped,
-            (Motion::Settled, Doing::Finding { then, stops }) => self.turn(then, stops)?,
-            (Motion::Settled, _) => Doing::Nothing,
-        };
+        match (now, *doing) {
+            (Motion::Moving, _) => {}
+            (Motion::Stopped, _) => *doing = Doing::Stopped,
+            (Motion::Settled, Doing::Finding { then, stops }) => {
+                self.turn(&mut doing, then, stops)?;
+            }
+            (Motion::Settled, _) => *doing = Doing::Nothing,
+        }
         Ok(match *doing {
             Doing::Nothing => Motion::Settled,
             Doing::Stopped => Motion::Stopped,
@@ -214,6 +232,11 @@ impl Nosepiece for Turret {
         let mut doing = lock(&self.doing);
         if *doing != Doing::Nothing {
             *doing = Doing::Stopped;
+            // A stepper may have run on uncounted.
+            self.axis.doubt_place();
+            if self.zero_is_given {
+                self.unproven.store(true, Ordering::SeqCst);
+            }
         }
         Ok(())
     }
@@ -304,6 +327,9 @@ mod tests {
             state.log.push("stop".into());
             Ok(())
         }
+        fn doubt_place(&self) {
+            lock(&self.state).known = false;
+        }
     }
 
     fn places() -> Vec<TurretPlace> {
@@ -366,7 +392,23 @@ mod tests {
         axis.arrive();
         turret.stops.fetch_add(1, Ordering::SeqCst);
         assert_eq!(turret.poll(), Ok(Motion::Stopped));
-        assert_eq!(axis.log()[2..], ["find", "to 180", "stop"]);
+        assert_eq!(axis.log()[2..], ["find"]);
+    }
+
+    #[test]
+    fn what_was_stopped_on_the_way_does_not_know_where_it_is() {
+        let (axis, turret) = turret(true);
+        turret.start_change(&id("40x")).unwrap();
+        turret.stop().unwrap();
+        turret.start_change(&id("20x")).unwrap();
+        assert_eq!(axis.log(), ["to 180", "stop", "find"]);
+        // Without a switch it is somebody's word again.
+        let turret = Turret::new(axis.clone(), &places(), 0.5, true);
+        lock(&axis.state).known = true;
+        turret.prove();
+        turret.start_change(&id("40x")).unwrap();
+        turret.stop().unwrap();
+        assert!(turret.is_unproven());
     }
 
     #[test]

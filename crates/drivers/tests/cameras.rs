@@ -129,7 +129,8 @@ fn without_the_latency_the_emulated_cameras_do_show_old_pictures() {
     let (world, view) = World::new();
     let emulator = CameraEmulator::serve(emulated(view, Sending::Sized)).unwrap();
     let mut streams = stream_settings(&emulator);
-    streams.latency_ms = 0.0;
+    streams.latency_ms = 1.0;
+    streams.exposure.now_ms = 1.0;
     let mut shots = shot_settings(&emulator);
     shots.stale_ms = 0.0;
     let cameras: [Box<dyn Camera>; 2] = [

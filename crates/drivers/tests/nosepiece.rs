@@ -193,7 +193,45 @@ fn a_gcode_board_turns_a_nosepiece_beside_its_stage() {
     changes(&gate, || emulator.turned_deg(), false);
     assert!((emulator.truth()[2] + 1.0).abs() < 1e-9);
     let heard = emulator.heard();
-    assert!(heard.contains(&"G28 A".to_string()), "{heard:?}");
+    assert!(heard.contains(&"G28 A R0".to_string()), "{heard:?}");
+}
+
+#[test]
+fn a_board_that_lifts_the_stage_while_the_nosepiece_looks_for_its_switch_is_told() {
+    let lifting = |knows_r0| {
+        GcodeEmulator::serve(EmulatedBoard {
+            steps_per_deg: Some(20.0),
+            homing_ms: 30,
+            lifts_mm: 5.0,
+            knows_r0,
+            ..EmulatedBoard::new()
+        })
+        .unwrap()
+    };
+    let turned = |emulator: &GcodeEmulator| {
+        let stage = GcodeStage::connect(tcp(&emulator.address()), &whole_board()).unwrap();
+        let stage = Arc::new(stage);
+        let nosepiece = stage.nosepiece().unwrap();
+        let gate = gate(stage, Box::new(nosepiece));
+        gate.start_move(&z(-1000.0)).unwrap();
+        assert_eq!(settled(|| gate.poll()), Motion::Settled);
+        gate.start_change(&id("40x")).unwrap();
+        let start = Instant::now();
+        loop {
+            match gate.poll_nosepiece() {
+                Ok(Motion::Moving) if start.elapsed() < Duration::from_secs(5) => {}
+                ended => return ended,
+            }
+        }
+    };
+    let emulator = lifting(true);
+    assert_eq!(turned(&emulator), Ok(Motion::Settled));
+    assert!((emulator.truth()[2] + 1.0).abs() < 1e-9);
+    let error = turned(&lifting(false)).unwrap_err().to_string();
+    assert!(
+        error.contains("the stage moved while the nosepiece"),
+        "{error}"
+    );
 }
 
 #[test]

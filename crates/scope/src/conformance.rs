@@ -114,7 +114,7 @@ fn trial(axis: Axis) -> f64 {
 }
 
 /// No picture is on its way for longer.
-const LATEST: Duration = Duration::from_millis(1500);
+const LATEST: Duration = Duration::from_secs(3);
 
 /// The longest move, of x or y: long enough to be stopped on the way.
 const LONG_M: f64 = 2e-3;
@@ -326,7 +326,9 @@ pub fn check_together(scope: &Instrument) -> Vec<Check> {
                 difference(&first, &moved),
             );
             ensure(away > 1.5 * still, || {
-                format!("pictures differ by {away:.4} after the move and by {still:.4} without it")
+                format!(
+                    "pictures differ by {away:.4} after the move and by {still:.4} without it: is a specimen in, in focus?"
+                )
             })
         }),
         run_and_return(
@@ -336,6 +338,7 @@ pub fn check_together(scope: &Instrument) -> Vec<Check> {
                 let axis = long_axis(scope.gate())?;
                 let (_, there) = towards_room(scope.gate(), axis, trial(axis))?;
                 let to = StagePose::default().with_si(axis, there);
+                let before = scope.grab().map_err(said)?;
                 scope.move_to(&to).map_err(said)?;
                 let moved = scope.grab().map_err(said)?;
                 // Whatever is on its way has come by then.
@@ -343,6 +346,13 @@ pub fn check_together(scope: &Instrument) -> Vec<Check> {
                 let later = scope.grab().map_err(said)?;
                 let again = scope.grab().map_err(said)?;
                 let (early, still) = (difference(&moved, &later), difference(&later, &again));
+                let away = difference(&before, &later);
+                ensure(away > 1.5 * still, || {
+                    format!(
+                        "there is too little to see ({away:.4} after the move, {still:.4} without it) to tell whether pictures are fresh: \
+                     put in a specimen that does not matter, in focus"
+                    )
+                })?;
                 ensure(early <= 2.0 * still + 1e-3, || {
                     format!(
                         "the picture after a move differs by {early:.4} from one {} s later, where two in a row differ by {still:.4}: \
@@ -424,6 +434,7 @@ pub fn check_replug(
         let gate = scope.gate();
         let asked = scope.clock().now();
         while gate.poll().map_err(said)? == Motion::Moving {
+            scope.check_cancel().map_err(said)?;
             scope.clock().sleep(Duration::from_millis(10));
             let took = scope.clock().now().since(asked);
             ensure(took <= Duration::from_secs(60), || {

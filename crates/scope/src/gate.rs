@@ -131,9 +131,18 @@ impl MotionGate {
     /// What the devices report; both were told all the same.
     pub fn stop(&self) -> Result<(), ScopeError> {
         self.stops.fetch_add(1, Ordering::SeqCst);
-        let stage = self.stage.stop();
-        self.nosepiece.stop()?;
-        stage
+        // Neither waits for the other: they may be on different boards, and one may be past hearing.
+        std::thread::scope(|s| {
+            let nosepiece = s.spawn(|| self.nosepiece.stop());
+            let stage = self.stage.stop();
+            let nosepiece = nosepiece.join().unwrap_or_else(|_| {
+                Err(ScopeError::Device {
+                    device: "nosepiece",
+                    detail: "its driver broke down".into(),
+                })
+            });
+            nosepiece.and(stage)
+        })
     }
 
     /// Whether the stage may stand there, with the objective that is in the beam: limits, workspace, zones. The way there is
@@ -324,13 +333,14 @@ impl MotionGate {
         Ok(())
     }
 
-    /// Objectives that may be in the beam: all of them when nobody knows.
+    /// Objectives that may be in the beam: all of them when nobody knows, or only somebody's word tells.
     fn in_beam(&self) -> Result<Vec<ObjectiveId>, ScopeError> {
         if !self.narrows() {
             // Nobody asks.
             return Ok(Vec::new());
         }
-        Ok(match self.nosepiece.current()? {
+        let told = self.nosepiece.current()?;
+        Ok(match told.filter(|_| !self.nosepiece.is_unproven()) {
             Some(id) => vec![id],
             None => self.objectives().iter().map(|o| o.id.clone()).collect(),
         })

@@ -61,6 +61,26 @@ pub struct Instrument {
     moves: AtomicU64,
     frames: AtomicU64,
     objective_changes: AtomicU64,
+    /// A frame that nobody waits for any more.
+    given_up: Mutex<Option<std::thread::JoinHandle<()>>>,
+}
+
+/// A driver that hangs over a frame is given so long to be noticed as such, and ended, before the instrument is gone.
+const LAST_FRAME: Duration = Duration::from_secs(8);
+
+impl Drop for Instrument {
+    fn drop(&mut self) {
+        let given_up = self.given_up.get_mut().ok().and_then(Option::take);
+        let Some(frame) = given_up else { return };
+        // A long exposure ends by itself.
+        if self.camera.exposure().is_ok_and(|e| e > LAST_FRAME / 4) {
+            return;
+        }
+        let start = std::time::Instant::now();
+        while !frame.is_finished() && start.elapsed() < LAST_FRAME {
+            std::thread::sleep(POLL);
+        }
+    }
 }
 
 impl Instrument {
@@ -81,6 +101,7 @@ impl Instrument {
             moves: AtomicU64::new(0),
             frames: AtomicU64::new(0),
             objective_changes: AtomicU64::new(0),
+            given_up: Mutex::new(None),
         }
     }
 
@@ -231,7 +252,10 @@ impl Instrument {
         let (tell, told) = mpsc::channel();
         let camera = self.camera.clone();
         // Whoever asks for a stop need not wait for a long exposure: the camera ends it by itself, and nobody looks.
-        std::thread::spawn(move || tell.send(camera.grab()));
+        let frame = std::thread::spawn(move || {
+            // Whoever asked may have gone.
+            let _ = tell.send(camera.grab());
+        });
         loop {
             match told.recv_timeout(POLL_CANCEL) {
                 Ok(frame) => {
@@ -239,7 +263,12 @@ impl Instrument {
                     self.frames.fetch_add(1, Ordering::SeqCst);
                     return Ok(frame);
                 }
-                Err(RecvTimeoutError::Timeout) => self.check_cancel()?,
+                Err(RecvTimeoutError::Timeout) => {
+                    if let Err(interrupted) = self.check_cancel() {
+                        *self.given_up.lock().unwrap_or_else(|e| e.into_inner()) = Some(frame);
+                        return Err(interrupted);
+                    }
+                }
                 Err(RecvTimeoutError::Disconnected) => {
                     return Err(ScopeError::Device {
                         device: "camera",

@@ -631,6 +631,49 @@ fn an_ellipsoid_gives_each_axis_what_the_others_leave() {
     gate.check(&pose([9.9e-3, 0.0, 0.0])).unwrap();
 }
 
+/// The same devices where somebody says which objective is in.
+struct Hearsay(Devices, std::sync::atomic::AtomicBool);
+
+impl Nosepiece for Hearsay {
+    fn objectives(&self) -> &[Objective] {
+        self.0.objectives()
+    }
+    fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
+        self.0.current()
+    }
+    fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
+        self.0.start_change(to)
+    }
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        Nosepiece::poll(&self.0)
+    }
+    fn stop(&self) -> Result<(), ScopeError> {
+        Nosepiece::stop(&self.0)
+    }
+    fn is_unproven(&self) -> bool {
+        !self.1.load(std::sync::atomic::Ordering::SeqCst)
+    }
+    fn prove(&self) {
+        self.1.store(true, std::sync::atomic::Ordering::SeqCst);
+    }
+}
+
+#[test]
+fn until_a_picture_shows_the_objective_the_rules_of_all_hold() {
+    let devices = Devices::new();
+    let hearsay = Hearsay(devices.clone(), false.into());
+    let gate = MotionGate::new(Box::new(devices), Box::new(hearsay), rules()).unwrap();
+    assert_eq!(gate.current_objective(), Ok(Some(id("10x"))));
+    // Beyond what 40x may, within what 10x may.
+    let beyond = StagePose::default().with_si(Axis::X, NARROW_X + 1e-4);
+    assert!(matches!(
+        gate.check(&beyond),
+        Err(ScopeError::OutsideLimits { .. })
+    ));
+    gate.prove_objective();
+    assert_eq!(gate.check(&beyond), Ok(()));
+}
+
 #[test]
 fn rules_that_make_no_sense_are_refused() {
     type Breakage = fn(&mut Rules);

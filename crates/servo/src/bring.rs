@@ -74,6 +74,12 @@ impl Procedure for Bring {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<Option<FocusResult>>, ServoError> {
+        // A run that goes on after a kill may find another objective than it left.
+        if self.state != State::Switch
+            && scope.gate().current_objective()?.as_ref() != Some(&self.objective)
+        {
+            self.state = State::Switch;
+        }
         match &mut self.state {
             State::Switch => {
                 self.enter(scope, sink, Phase::Switch);
@@ -94,7 +100,11 @@ impl Procedure for Bring {
                 }
             }
             State::Identify(identify) => {
-                if let Progress::Done(identity) = identify.step(scope, sink)? {
+                let seen = identify.step(scope, sink).inspect_err(|_| {
+                    // Nobody knows with which objective this was in focus.
+                    scope.forget_focus(&self.objective);
+                })?;
+                if let Progress::Done(identity) = seen {
                     if identity.as_told {
                         return Ok(Progress::Done(self.found));
                     }

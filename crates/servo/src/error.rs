@@ -92,6 +92,20 @@ pub enum ServoError {
         /// How far the stage moved.
         moved_um: f64,
     },
+    /// The stage scatters too much for a move that stays in the field.
+    #[error(
+        "whether {objective} is in the beam could not be told: the stage arrives to within {scatter_um:.1} um, and a move of \
+         {moved_um:.1} um is the longest that stays in the field. Look yourself, and describe one objective with nosepiece = \"none\" \
+         if it must do without"
+    )]
+    StageTooCoarse {
+        /// The objective that is said to be there.
+        objective: ObjectiveId,
+        /// How far the stage moved.
+        moved_um: f64,
+        /// Half-width of its arrivals.
+        scatter_um: f64,
+    },
     /// The picture shows another objective than the one that is said to be there.
     #[error(
         "{told} was asked for, but the picture has {um_per_px:.3} um per pixel, {}: nothing was done with it. Bring {told} into the \

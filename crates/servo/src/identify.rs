@@ -13,10 +13,14 @@ use serde::{Deserialize, Serialize};
 
 /// The move, as a share of the smallest field that any objective of the instrument has: it stays in the field whichever is in.
 const SHARE: f64 = 0.2;
+/// The move is at least this many times what the stage scatters, if that leaves half of the field of the objective that was told.
+const SCATTERS: f64 = 20.0;
 /// The move is halved at most so often when the views are not found.
-const HALVINGS: u8 = 2;
-/// A shift below this is not told from dirt on the camera, px.
-const LEAST_SHIFT_PX: f64 = 2.0;
+const HALVINGS: u8 = 3;
+/// Two arrivals may scatter by this share of the move at the most: objectives differ by more.
+const SCATTER_SHARE: f64 = 0.2;
+/// A view that shifts less than this share of what the weakest objective would show stays.
+const STAYS: f64 = 0.33;
 /// Measured over nominal um per pixel may be this, or one over this, at most: as for a calibration.
 const NOMINAL_FACTOR: f64 = 1.5;
 /// Objectives whose scales are nearer than this to each other look the same.
@@ -72,10 +76,7 @@ impl Identify {
     ) -> Result<Result<f64, NotFound>, ServoError> {
         let mut seen = Vec::new();
         for k in [1.0, 2.0] {
-            let pose = PlanarPose {
-                x_m: [0, 1].map(|i| home.x_m[i] + k * step_m * along[i]),
-                ..*home
-            };
+            let pose = place(home, along, step_m, k);
             let at = scope.move_to(&pose.request(&scope.gate().position()?))?;
             let frame = grab(scope, sink, FrameRole::Identify, &self.objective)?;
             let centre = centre_px(frame.width, frame.height);
@@ -122,22 +123,23 @@ impl Identify {
     }
 }
 
-/// The direction with the most room, and how much: towards the farther end of x or y.
-fn room(scope: &Instrument, home: &PlanarPose) -> Option<(Vec2, f64)> {
-    let ranges = scope.gate().ranges().iter();
-    let rooms = ranges.filter_map(|r| {
-        let (i, unit) = match r.axis {
-            Axis::X => (0, [1.0, 0.0]),
-            Axis::Y => (1, [0.0, 1.0]),
-            _ => return None,
-        };
-        let (up, down) = (r.max - home.x_m[i], home.x_m[i] - r.min);
-        Some(match up >= down {
-            true => (unit, up),
-            false => (unit.map(|v: f64| -v), down),
-        })
-    });
-    rooms.max_by(|a, b| a.1.total_cmp(&b.1))
+/// Directions in x and y, with the axis' scatter: half-width in metres.
+fn directions(scope: &Instrument) -> Vec<(Vec2, f64)> {
+    let axes = [(Axis::X, [1.0, 0.0]), (Axis::Y, [0.0, 1.0])];
+    let there = axes
+        .iter()
+        .filter_map(|(axis, unit)| Some((unit, scope.gate().info().axis(*axis)?.repeatability)));
+    there
+        .flat_map(|(unit, scatter)| [1.0, -1.0].map(|sign| (unit.map(|u| sign * u), scatter)))
+        .collect()
+}
+
+/// The place `k` steps away from `home`.
+fn place(home: &PlanarPose, along: Vec2, step_m: f64, k: f64) -> PlanarPose {
+    PlanarPose {
+        x_m: [0, 1].map(|i| home.x_m[i] + k * step_m * along[i]),
+        ..*home
+    }
 }
 
 impl Procedure for Identify {
@@ -161,21 +163,41 @@ impl Procedure for Identify {
         })?;
         let info = scope.camera().info();
         let side_px = info.width.min(info.height) as f64;
-        let all = scope.gate().objectives().iter();
-        let finest = all.fold(f64::INFINITY, |f, o| f.min(o.nominal_um_per_px));
-        let step_m = SHARE * side_px * finest * 1e-6 / f64::from(1u32 << halvings);
-        let (along, room_m) = room(scope, &home).ok_or(ScopeError::NoSuchAxis { axis: Axis::X })?;
-        let step_m = step_m.min(room_m / 2.0);
-        let looked = self.look(scope, sink, &home, along, step_m)?;
-        scope.move_to(&home.request(&scope.gate().position()?))?;
-        let um_per_px = match looked {
-            Ok(um_per_px) if step_m * 1e6 >= LEAST_SHIFT_PX * um_per_px => um_per_px,
-            Ok(_) => {
-                return Err(ServoError::PictureStays {
-                    objective: self.objective.clone(),
-                    moved_um: step_m * 1e6,
-                });
-            }
+        let nominal = |o: &Objective| o.nominal_um_per_px * 1e-6;
+        let all = || scope.gate().objectives().iter().map(nominal);
+        let (finest, coarsest) = (
+            all().fold(f64::INFINITY, f64::min),
+            all().fold(0.0, f64::max),
+        );
+        let told = nominal(scope.objective(&self.objective)?);
+        let scatter_m = directions(scope).first().map_or(0.0, |d| d.1);
+        let most_m = 0.5 * side_px * told;
+        let step_m = (SHARE * side_px * finest).max((SCATTERS * scatter_m).min(most_m))
+            / f64::from(1u32 << halvings);
+        // Where both places are allowed; the first that is refused says why when none is.
+        let present = scope.gate().position()?;
+        let mut refused = None;
+        let free = directions(scope).into_iter().find(|(along, _)| {
+            let allowed = [1.0, 2.0].iter().try_for_each(|k| {
+                let pose = place(&home, *along, step_m, *k);
+                scope.gate().check(&pose.request(&present))
+            });
+            let free = allowed.is_ok();
+            refused = refused.take().or(allowed.err());
+            free
+        });
+        let Some((along, scatter_m)) = free else {
+            return Err(refused
+                .unwrap_or(ScopeError::NoSuchAxis { axis: Axis::X })
+                .into());
+        };
+        let looked = self.look(scope, sink, &home, along, step_m);
+        // Back, whatever came of it; a stage that was stopped stays.
+        if scope.check_cancel().is_ok() {
+            scope.move_to(&home.request(&scope.gate().position()?))?;
+        }
+        let um_per_px = match looked? {
+            Ok(um_per_px) => um_per_px,
             Err(_) if halvings < HALVINGS => {
                 self.state = State::Look {
                     halvings: halvings + 1,
@@ -189,6 +211,19 @@ impl Procedure for Identify {
                 });
             }
         };
+        if um_per_px * 1e-6 * STAYS > coarsest {
+            return Err(ServoError::PictureStays {
+                objective: self.objective.clone(),
+                moved_um: step_m * 1e6,
+            });
+        }
+        if 2.0 * scatter_m > SCATTER_SHARE * step_m {
+            return Err(ServoError::StageTooCoarse {
+                objective: self.objective.clone(),
+                moved_um: step_m * 1e6,
+                scatter_um: scatter_m * 1e6,
+            });
+        }
         let identity = self.judge(scope, um_per_px);
         if identity.as_told {
             scope.gate().prove_objective();

@@ -215,6 +215,14 @@ impl Reposition {
                 "this run has ended already; start a new one".into(),
             ));
         };
+        // A run that goes on after a kill may find another objective than it left, or one that nobody has looked at.
+        if matches!(self.state, State::Calibrate(_) | State::Servo(_))
+            && (scope.gate().current_objective()?.as_ref() != Some(&objective)
+                || scope.gate().objective_is_unproven())
+        {
+            self.state = self.bring();
+            return Ok(None);
+        }
         match &mut self.state {
             State::Begin => {}
             State::Bring(bring) => {
@@ -386,7 +394,8 @@ impl Reposition {
             ServoError::NoFocus { .. } => Reason::NoFocus,
             ServoError::WrongObjective { .. }
             | ServoError::ObjectiveUnclear { .. }
-            | ServoError::PictureStays { .. } => Reason::WrongObjective,
+            | ServoError::PictureStays { .. }
+            | ServoError::StageTooCoarse { .. } => Reason::WrongObjective,
             ServoError::CalibrationViews { .. }
             | ServoError::CalibrationImplausible { .. }
             | ServoError::CalibrationInconsistent { .. } => Reason::CalibrationFailed,

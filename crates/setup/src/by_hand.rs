@@ -37,9 +37,9 @@ impl ByHand {
             objectives,
             ask,
             state: Arc::new(Mutex::new(State {
+                proven: only.is_some(),
                 current: only,
                 motion: Motion::Settled,
-                proven: true,
                 asked: 0,
             })),
         }

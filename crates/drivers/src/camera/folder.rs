@@ -2,7 +2,7 @@
 
 use crate::camera::exposing::Exposing;
 use crate::camera::picture::{self, Picture};
-use crate::camera::{bad_setting, device, duration, frame, info, lost};
+use crate::camera::{bad_setting, check_latency, device, duration, frame, info, lost};
 use crate::session::lock;
 use scopeservo_scope::{Camera, CameraInfo, Clock, Frame, ScopeError};
 use serde::Deserialize;
@@ -30,9 +30,8 @@ pub struct FolderSettings {
     pub path: PathBuf,
     /// Which is taken.
     pub order: FolderOrder,
-    /// For `newest`: the longest time from the start of an exposure until the file is there.
-    #[serde(default)]
-    pub latency_ms: f64,
+    /// For `newest`, which needs it: the longest time from the start of an exposure until the file is there, whole.
+    pub latency_ms: Option<f64>,
     /// How long after that a picture is waited for.
     #[serde(default = "ten_seconds")]
     pub timeout_ms: f64,
@@ -92,17 +91,37 @@ impl FolderCamera {
             return Err(bad_setting("exposure_ms must be above 0"));
         }
         let timeout = duration("timeout_ms", settings.timeout_ms)?;
-        let latency = duration("latency_ms", settings.latency_ms)?;
-        let there = files(&path)?;
-        let first = match there.keys().next() {
-            Some(file) => read(file)?,
-            None if settings.order == FolderOrder::InTurn => {
+        let latency = match (settings.order, settings.latency_ms) {
+            (FolderOrder::Newest, Some(ms)) => duration("latency_ms", ms)?,
+            (FolderOrder::InTurn, None) => exposure,
+            (FolderOrder::Newest, None) => {
+                return Err(bad_setting(
+                    "order = \"newest\" needs latency_ms: the longest time from the start of an exposure until the file is there",
+                ));
+            }
+            (FolderOrder::InTurn, Some(_)) => {
+                return Err(bad_setting("latency_ms belongs to order = \"newest\""));
+            }
+        };
+        check_latency("latency_ms", latency, exposure)?;
+        let mut there: Vec<_> = files(&path)?.into_iter().collect();
+        if settings.order == FolderOrder::Newest {
+            there.sort_by_key(|(_, version)| std::cmp::Reverse(version.changed));
+        }
+        let first = match &there[..] {
+            [(file, _), ..] if settings.order == FolderOrder::InTurn => read(file)?,
+            // Of those that lie there, the newest that is whole: the last one may still be written.
+            [_, ..] => match there.iter().find_map(|(file, _)| read(file).ok()) {
+                Some(picture) => picture,
+                None => wait_for_new(&path, Duration::ZERO, timeout)?.0,
+            },
+            [] if settings.order == FolderOrder::InTurn => {
                 return Err(bad_setting(format!(
                     "there is no JPEG, PNG or TIFF file in {}",
                     path.display()
                 )));
             }
-            None => wait_for_new(&path, Duration::ZERO, timeout)?.0,
+            [] => wait_for_new(&path, Duration::ZERO, timeout)?.0,
         };
         let exposing = Exposing::fixed(exposure);
         Ok(Self {
@@ -253,7 +272,7 @@ mod tests {
         FolderSettings {
             path: PathBuf::new(),
             order,
-            latency_ms: 50.0,
+            latency_ms: (order == FolderOrder::Newest).then_some(50.0),
             timeout_ms: 400.0,
             exposure_ms: 10.0,
         }
@@ -332,6 +351,18 @@ mod tests {
         assert!(silent.contains("did not finish within"), "{silent}");
         let none = said(camera(FolderOrder::Newest, &folder.path().join("none")));
         assert!(none.contains("lost"), "{none}");
+        let mut without = settings(FolderOrder::Newest);
+        without.latency_ms = None;
+        let clock = Arc::new(SystemClock::new());
+        let untold = said(FolderCamera::open(
+            &without,
+            folder.path().into(),
+            clock.clone(),
+        ));
+        assert!(untold.contains("needs latency_ms"), "{untold}");
+        without.latency_ms = Some(5.0);
+        let short = said(FolderCamera::open(&without, folder.path().into(), clock));
+        assert!(short.contains("shorter than the exposure"), "{short}");
         fs::write(folder.path().join("a.png"), b"text").unwrap();
         let damaged = said(camera(FolderOrder::InTurn, folder.path()));
         assert!(damaged.contains("a.png"), "{damaged}");

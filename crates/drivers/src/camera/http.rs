@@ -110,14 +110,23 @@ impl Url {
 
 impl std::fmt::Display for Url {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "http://{}:{}{}", self.host, self.port, self.path)
+        let path = without_query(&self.path);
+        write!(f, "http://{}:{}{path}", self.host, self.port)
     }
 }
 
-/// An address as it may be shown: without the password that somebody wrote into it.
+/// An address as it may be shown: without the password that somebody wrote into it, and without a query, which may hold one, too.
 fn without_user(text: &str) -> String {
-    match text.rfind('@') {
+    let shown = match text.rfind('@') {
         Some(at) => format!("...{}", &text[at..]),
+        None => text.to_string(),
+    };
+    without_query(&shown)
+}
+
+fn without_query(text: &str) -> String {
+    match text.split_once('?') {
+        Some((path, _)) => format!("{path}?..."),
         None => text.to_string(),
     }
 }
@@ -439,10 +448,18 @@ mod tests {
             ("http://cam/a b", "%20"),
             ("http://cam/a\r\nX: y", "%20"),
             ("http://me:secret@cam/", "password_file"),
+            ("http://cam:0/?pwd=secret", "no port"),
         ] {
             let error = Url::parse(wrong).expect_err(wrong).to_string();
             assert!(error.contains(why) && !error.contains("secret"), "{error}");
         }
+    }
+
+    #[test]
+    fn a_query_is_asked_for_and_not_shown() {
+        let url = Url::parse("http://cam/shot?user=me&pwd=secret").unwrap();
+        assert_eq!(url.to_string(), "http://cam:80/shot?...");
+        assert!(String::from_utf8_lossy(&encode_get(&url, None)).contains("pwd=secret"));
     }
 
     #[test]

@@ -50,7 +50,12 @@ pub fn mjpeg_camera(
         let at = |what: &dyn std::fmt::Display| lost(format!("{url}: {what}"));
         let answer = Answer::get(&url, login.as_ref(), timeout).map_err(|e| at(&e))?;
         let parts = Parts::new(&answer.head.content_type).map_err(|e| at(&e))?;
-        Ok(Box::new(Mjpeg { answer, parts }))
+        let grew = Instant::now();
+        Ok(Box::new(Mjpeg {
+            answer,
+            parts,
+            grew,
+        }))
     };
     StreamCamera::new(name, Box::new(open), exposing, latency, timeout, clock)
 }
@@ -58,17 +63,25 @@ pub fn mjpeg_camera(
 struct Mjpeg {
     answer: Answer,
     parts: Parts,
+    /// When bytes came last.
+    grew: Instant,
 }
 
 impl Source for Mjpeg {
-    fn next(&mut self, wait: Duration) -> Result<Option<Packed>, String> {
+    fn next(&mut self, wait: Duration) -> Result<Option<(Packed, Instant)>, String> {
         let deadline = Instant::now() + wait;
+        let mut before = self.grew;
         loop {
             if let Some(picture) = self.parts.take().map_err(|e| e.to_string())? {
-                return Ok(Some(Packed::File(picture)));
+                // One without a length ends with the head of the next, perhaps a whole period later.
+                let came = match self.parts.was_sized() {
+                    true => self.grew,
+                    false => before,
+                };
+                return Ok(Some((Packed::File(picture), came)));
             }
             match self.answer.more(self.parts.feed(), deadline) {
-                Ok(true) => {}
+                Ok(true) => before = std::mem::replace(&mut self.grew, Instant::now()),
                 Ok(false) => return Err("it has ended its pictures".into()),
                 Err(HttpError::Link(LinkError::Silence)) => return Ok(None),
                 Err(error) => return Err(error.to_string()),

@@ -8,6 +8,7 @@
 mod exposing;
 mod folder;
 pub mod http;
+mod jpeg;
 mod mjpeg;
 pub mod multipart;
 pub mod picture;
@@ -59,6 +60,17 @@ fn duration(what: &str, ms: f64) -> Result<Duration, ScopeError> {
         true => Ok(Duration::from_secs_f64(ms * 1e-3)),
         false => Err(bad_setting(format!(
             "{what} is {ms} and must be from 0 to {LONGEST_MS}"
+        ))),
+    }
+}
+
+/// Refuses a latency that is shorter than the exposure, which it includes.
+fn check_latency(what: &str, latency: Duration, exposure: Duration) -> Result<(), ScopeError> {
+    match latency >= exposure {
+        true => Ok(()),
+        false => Err(bad_setting(format!(
+            "{what} is {latency:?}, shorter than the exposure of {exposure:?}, which it includes: from the start of an exposure until \
+             its picture is here"
         ))),
     }
 }

@@ -36,6 +36,8 @@ pub struct Parts {
     searched: usize,
     /// How much has passed since the last picture.
     passed: usize,
+    /// Whether the last picture said how long it is.
+    sized: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,6 +83,7 @@ impl Parts {
             state: State::Between,
             searched: 0,
             passed: 0,
+            sized: false,
         })
     }
 
@@ -117,6 +120,7 @@ impl Parts {
                     let Some(size) = self.head()? else {
                         return Ok(None);
                     };
+                    self.sized = size.is_some();
                     self.state = size.map_or(State::Unsized, State::Sized);
                 }
                 State::Sized(size) => {
@@ -151,6 +155,11 @@ impl Parts {
                 }
             }
         }
+    }
+
+    /// Whether the last picture said how long it is; one that did not ends where the next begins.
+    pub fn was_sized(&self) -> bool {
+        self.sized
     }
 
     fn cut(&mut self, at: usize) -> Vec<u8> {

@@ -1,5 +1,6 @@
 //! Pictures as cameras send them, unpacked.
 
+use crate::camera::jpeg;
 use image::{DynamicImage, ImageReader};
 use scopeservo_scope::{Channels, Samples};
 use std::borrow::Cow;
@@ -20,6 +21,14 @@ pub enum PictureError {
     Cut {
         /// How much of it there is.
         bytes: usize,
+    },
+    /// A part in its middle is missing or damaged.
+    #[error("the picture has a hole: its data make no sense after {part} of {of} parts")]
+    Hole {
+        /// How many parts there are before it.
+        part: usize,
+        /// How many there should be.
+        of: usize,
     },
     /// It is of no kind that is known, or damaged.
     #[error("the picture cannot be read: {0}")]
@@ -55,7 +64,7 @@ pub struct Picture {
 /// [`PictureError`].
 pub fn decode(bytes: &[u8]) -> Result<Picture, PictureError> {
     let bytes = match bytes.starts_with(&[0xff, 0xd8]) {
-        true => whole_jpeg(bytes)?,
+        true => jpeg::whole(bytes)?,
         false => Cow::Borrowed(bytes),
     };
     let unreadable = |e: &dyn std::fmt::Display| PictureError::Unreadable(e.to_string());
@@ -101,44 +110,6 @@ pub fn decode(bytes: &[u8]) -> Result<Picture, PictureError> {
         bit_depth,
         samples,
     })
-}
-
-const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
-/// After the start of a JPEG: says that the Huffman tables of the standard are meant where none are given.
-const STANDARD_TABLES: [u8; 18] = [
-    0xff, 0xe0, 0, 16, b'A', b'V', b'I', b'1', 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
-];
-
-/// A JPEG with its end and with word of its Huffman tables. Decoders draw the rest of one that breaks off as grey, which must not
-/// pass for a view; and USB cameras leave out the tables of the standard.
-fn whole_jpeg(bytes: &[u8]) -> Result<Cow<'_, [u8]>, PictureError> {
-    // Buffers of a fixed size are filled up with zeros, and streams with line ends.
-    let filling = |b: &&u8| matches!(**b, 0 | b'\r' | b'\n');
-    let end = bytes.len() - bytes.iter().rev().take_while(filling).count();
-    let bytes = &bytes[..end];
-    if !bytes.ends_with(&END_OF_IMAGE) {
-        return Err(PictureError::Cut { bytes: end });
-    }
-    match has_huffman_tables(bytes) {
-        true => Ok(Cow::Borrowed(bytes)),
-        false => Ok(Cow::Owned(
-            [&bytes[..2], &STANDARD_TABLES, &bytes[2..]].concat(),
-        )),
-    }
-}
-
-/// Whether a JPEG has Huffman tables before its first scan; `true` for one whose segments make no sense, which the decoder tells
-/// better.
-fn has_huffman_tables(bytes: &[u8]) -> bool {
-    let mut at = 2;
-    while let Some(&[0xff, kind, high, low]) = bytes.get(at..at + 4) {
-        match kind {
-            0xc4 => return true,
-            0xda => return false,
-            _ => at += 2 + usize::from(u16::from_be_bytes([high, low])),
-        }
-    }
-    true
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use crate::camera::exposing::{Exposing, ExposureSettings};
 use crate::camera::http::{Answer, HttpError, Login, Url};
-use crate::camera::{device, duration, frame, info, lost, picture};
+use crate::camera::{check_latency, device, duration, frame, info, lost, picture};
 use crate::link::LinkError;
 use scopeservo_scope::{Camera, CameraInfo, Clock, Frame, ScopeError};
 use serde::Deserialize;
@@ -16,8 +16,8 @@ use std::time::Duration;
 pub struct SnapshotSettings {
     /// Where it gives them: `http://host:port/path`, a JPEG, PNG or TIFF.
     pub url: String,
-    /// How long before the question the exposure of the answer may have begun: the oldest picture that it keeps. 0 for a camera
-    /// that exposes when asked. Too short a time lets old pictures pass; `doctor --allow-motion` finds that out.
+    /// How long before the question the exposure of the answer may have begun: the oldest picture that it keeps, its exposure
+    /// included. 0 for a camera that exposes when asked. Too short a time lets old pictures pass; `doctor --allow-motion` finds that out.
     pub stale_ms: f64,
     /// How long an answer may take.
     #[serde(default = "five_seconds")]
@@ -35,6 +35,8 @@ pub struct SnapshotCamera {
     url: Url,
     login: Option<Login>,
     stale: Duration,
+    /// The exposure that `stale` was told for.
+    first_exposure: Duration,
     timeout: Duration,
     exposing: Exposing,
     info: CameraInfo,
@@ -56,12 +58,18 @@ impl SnapshotCamera {
         let url = Url::parse(&settings.url)?;
         let timeout = duration("timeout_ms", settings.timeout_ms)?;
         let exposing = settings.exposure.exposing(login.clone(), timeout)?;
+        let stale = duration("stale_ms", settings.stale_ms)?;
+        let first_exposure = exposing.get();
+        if !stale.is_zero() {
+            check_latency("stale_ms", stale, first_exposure)?;
+        }
         let first = shot(&url, login.as_ref(), timeout)?;
         Ok(Self {
             info: info(format!("camera at {url}"), &first, exposing.range()),
             url,
             login,
-            stale: duration("stale_ms", settings.stale_ms)?,
+            stale,
+            first_exposure,
             timeout,
             exposing,
             clock,
@@ -103,7 +111,9 @@ impl Camera for SnapshotCamera {
         let exposure = self.exposing.get();
         let asked = self.clock.now();
         // What it keeps from before grows too old meanwhile.
-        std::thread::sleep(self.stale);
+        if !self.stale.is_zero() {
+            std::thread::sleep(self.stale + exposure.saturating_sub(self.first_exposure));
+        }
         let timeout = self.timeout + exposure;
         let picture = shot(&self.url, self.login.as_ref(), timeout)?;
         let sequence = self.count.fetch_add(1, Ordering::Relaxed);

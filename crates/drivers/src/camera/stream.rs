@@ -3,7 +3,7 @@
 use crate::camera::exposing::Exposing;
 use crate::camera::picture::{self, Picture, PictureError};
 use crate::camera::raw::{self, Layout};
-use crate::camera::{device, frame, info, lost};
+use crate::camera::{check_latency, device, frame, info, lost};
 use crate::session::lock;
 use scopeservo_scope::{Camera, CameraInfo, Clock, Frame, ScopeError};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -31,11 +31,12 @@ impl Packed {
 
 /// Where the pictures come from.
 pub trait Source: Send {
-    /// Waits up to `wait` for a picture. `None` when none came; an error when none will come any more.
+    /// Waits up to `wait` for a picture, and tells when it was here whole, or a moment before that. `None` when none came; an error
+    /// when none will come any more.
     ///
     /// # Errors
     /// What happened, for people.
-    fn next(&mut self, wait: Duration) -> Result<Option<Packed>, String>;
+    fn next(&mut self, wait: Duration) -> Result<Option<(Packed, Instant)>, String>;
 }
 
 type Open = Box<dyn Fn() -> Result<Box<dyn Source>, ScopeError> + Send + Sync>;
@@ -49,6 +50,8 @@ pub struct StreamCamera {
     info: CameraInfo,
     exposing: Exposing,
     latency: Duration,
+    /// The exposure that the latency was told for.
+    first_exposure: Duration,
     timeout: Duration,
     clock: Arc<dyn Clock>,
     open: Open,
@@ -73,6 +76,8 @@ impl StreamCamera {
         timeout: Duration,
         clock: Arc<dyn Clock>,
     ) -> Result<Self, ScopeError> {
+        let first_exposure = exposing.get();
+        check_latency("latency_ms", latency, first_exposure)?;
         let count = Arc::new(AtomicU64::new(0));
         let reader = Reader::start(open()?, count.clone());
         let (first, _) = reader
@@ -82,6 +87,7 @@ impl StreamCamera {
             info: info(name, &first, exposing.range()),
             exposing,
             latency,
+            first_exposure,
             timeout,
             clock,
             open,
@@ -122,10 +128,13 @@ impl Camera for StreamCamera {
 
     fn grab(&self) -> Result<Frame, ScopeError> {
         let exposure = self.exposing.get();
-        let (asked_at, asked) = (self.clock.now(), Instant::now());
+        // A longer exposure is longer on its way.
+        let latency = self.latency + exposure.saturating_sub(self.first_exposure);
         let shared = self.shared()?;
-        let within = self.latency + exposure + self.timeout;
-        let (picture, at) = shared.fresh(asked, self.latency, within).inspect_err(|_| {
+        // Not before it was opened, should it have been lost: the first picture may be one that was kept.
+        let (asked_at, asked) = (self.clock.now(), Instant::now());
+        let within = latency + self.timeout;
+        let (picture, at) = shared.fresh(asked, latency, within).inspect_err(|_| {
             // What is on this connection nobody knows; the next grab makes another.
             let mut reader = lock(&self.reader);
             if reader
@@ -135,7 +144,7 @@ impl Camera for StreamCamera {
                 *reader = None;
             }
         })?;
-        let start = at.came.duration_since(asked).saturating_sub(self.latency);
+        let start = at.came.saturating_duration_since(asked + latency);
         frame(
             &self.info,
             picture,
@@ -183,11 +192,10 @@ impl Reader {
         let thread = std::thread::spawn(move || {
             while !kept.unwanted.load(Ordering::Relaxed) {
                 let news = source.next(LOOK);
-                let came = Instant::now();
                 let mut state = lock(&kept.state);
                 match news {
                     Ok(None) => continue,
-                    Ok(Some(packed)) => {
+                    Ok(Some((packed, came))) => {
                         let sequence = count.fetch_add(1, Ordering::Relaxed);
                         state.newest = Some((Arc::new(packed), Arrival { came, sequence }));
                     }
@@ -284,21 +292,23 @@ mod tests {
     }
 
     impl Source for Delayed {
-        fn next(&mut self, _: Duration) -> Result<Option<Packed>, String> {
+        fn next(&mut self, _: Duration) -> Result<Option<(Packed, Instant)>, String> {
             std::thread::sleep(Duration::from_millis(10));
+            let now = |packed| Ok(Some((packed, Instant::now())));
             match *lock(&self.fault) {
                 Some("silent") => return Ok(None),
-                Some("damaged") => return Ok(Some(Packed::File(vec![0xff, 0xd8, 1]))),
-                Some("other size") => return Ok(Some(Packed::Raw(layout(2), vec![0; 4]))),
+                Some("damaged") => return now(Packed::File(vec![0xff, 0xd8, 1])),
+                Some("other size") => return now(Packed::Raw(layout(2), vec![0; 4])),
                 Some(fault) => return Err(fault.into()),
                 None => {}
             }
-            let now = Instant::now();
             self.on_the_way
-                .push((now, self.world.load(Ordering::SeqCst)));
-            let due = |(at, _): &&(Instant, u8)| now - *at >= Duration::from_millis(50);
-            let seen = self.on_the_way.iter().rev().find(due).map(|(_, v)| *v);
-            Ok(seen.map(|v| Packed::Raw(layout(1), vec![v; 2])))
+                .push((Instant::now(), self.world.load(Ordering::SeqCst)));
+            let due = |(at, _): &&(Instant, u8)| at.elapsed() >= Duration::from_millis(50);
+            match self.on_the_way.iter().rev().find(due) {
+                Some((_, v)) => now(Packed::Raw(layout(1), vec![*v; 2])),
+                None => Ok(None),
+            }
         }
     }
 
@@ -371,7 +381,7 @@ mod tests {
     fn a_grab_never_shows_what_was_before_it() {
         assert_eq!(stale(&bench(LATENCY)), 0);
         // The test can tell: without the latency, old pictures pass.
-        assert!(stale(&bench(Duration::ZERO)) > 5);
+        assert!(stale(&bench(Duration::from_millis(1))) > 5);
     }
 
     #[test]
@@ -412,6 +422,31 @@ mod tests {
         );
         *lock(&bench.fault) = None;
         assert!(bench.camera.grab().is_ok());
+    }
+
+    #[test]
+    fn a_latency_shorter_than_the_exposure_is_refused_and_a_longer_exposure_waited_for() {
+        let open = |latency_ms, exposing| {
+            let open: Open = Box::new(|| {
+                Ok(Box::new(Delayed {
+                    world: Arc::default(),
+                    on_the_way: Vec::new(),
+                    fault: Arc::default(),
+                }))
+            });
+            let (latency, timeout) = (Duration::from_millis(latency_ms), Duration::from_secs(1));
+            let clock = Arc::new(SystemClock::new());
+            StreamCamera::new("camera".into(), open, exposing, latency, timeout, clock)
+        };
+        let ms = Duration::from_millis;
+        let short = open(60, Exposing::fixed(ms(61))).err().unwrap();
+        assert!(matches!(short, ScopeError::BadSetting { .. }), "{short}");
+        let exposing = Exposing::with(ms(10), [ms(1), ms(500)], Box::new(Ok));
+        let camera = open(60, exposing).unwrap();
+        camera.set_exposure(ms(200)).unwrap();
+        let asked = Instant::now();
+        camera.grab().unwrap();
+        assert!(asked.elapsed() >= ms(60 + 190));
     }
 
     #[test]

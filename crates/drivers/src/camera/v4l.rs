@@ -78,8 +78,14 @@ fn exposing(mut there: Device, settings: &V4lSettings) -> Result<Exposing, Scope
     }
     let time = |units: i32| Duration::from_secs_f64(f64::from(units.max(1)) * EXPOSURE_UNIT_S);
     let fault = |e: std::io::Error| device(format!("its exposure: {e}"));
-    // Where automatic exposure cannot be switched off there is none.
-    let _ = there.write_control_raw(Cid::EXPOSURE_AUTO, MANUAL);
+    let automatic = there
+        .controls()
+        .filter_map(Result::ok)
+        .any(|c| c.id() == Cid::EXPOSURE_AUTO);
+    if automatic {
+        let off = there.write_control_raw(Cid::EXPOSURE_AUTO, MANUAL);
+        off.map_err(|e| device(format!("automatic exposure cannot be switched off: {e}")))?;
+    }
     let now = time(there.read_control_raw(control.id()).map_err(fault)?);
     let range = [time(control.minimum()), time(control.maximum())];
     let there = Mutex::new(there);
@@ -183,7 +189,7 @@ impl Video {
 }
 
 impl Source for Video {
-    fn next(&mut self, wait: Duration) -> Result<Option<Packed>, String> {
+    fn next(&mut self, wait: Duration) -> Result<Option<(Packed, Instant)>, String> {
         let give_up = Instant::now() + wait;
         while self.stream.will_block().map_err(|e| e.to_string())? {
             if Instant::now() >= give_up {
@@ -198,7 +204,8 @@ impl Source for Video {
                 None => Packed::File(bytes.to_vec()),
             }))
         });
-        picture.map_err(|e| e.to_string())
+        let picture = picture.map_err(|e| e.to_string())?;
+        Ok(picture.map(|packed| (packed, Instant::now())))
     }
 }
 

@@ -25,6 +25,10 @@ pub struct EmulatedBoard {
     pub busy_every_ms: u64,
     /// Steps for a degree of A, 400 degrees each way, if it has that axis.
     pub steps_per_deg: Option<f64>,
+    /// By how much it lifts Z before it homes another axis, mm, and whether R0 keeps it from that.
+    pub lifts_mm: f64,
+    /// Whether it knows R0.
+    pub knows_r0: bool,
 }
 
 impl EmulatedBoard {
@@ -40,6 +44,8 @@ impl EmulatedBoard {
             homing_ms: 200,
             busy_every_ms: 50,
             steps_per_deg: None,
+            lifts_mm: 0.0,
+            knows_r0: true,
         }
     }
 }
@@ -117,8 +123,14 @@ impl GcodeEmulator {
 /// What the board waits for before it goes on with its queue.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Waits {
-    Motion { reports: bool },
-    Homing { until: Instant, axes: [bool; 4] },
+    Motion {
+        reports: bool,
+    },
+    Homing {
+        until: Instant,
+        axes: [bool; 4],
+        lift_mm: f64,
+    },
 }
 
 /// The state of the emulated board.
@@ -240,11 +252,14 @@ impl Board {
             "M114" => self.report(says),
             "G28" => {
                 let wait = Duration::from_millis(self.board.homing_ms);
-                let named: Vec<&str> = words.collect();
+                let (options, named): (Vec<&str>, Vec<&str>) =
+                    words.partition(|w| w.starts_with('R'));
                 let axes = ["X", "Y", "Z", "A"].map(|a| named.is_empty() || named.contains(&a));
+                let keeps = self.board.knows_r0 && options.contains(&"R0");
                 self.waits = Some(Waits::Homing {
                     until: Instant::now() + wait,
                     axes,
+                    lift_mm: if keeps { 0.0 } else { self.board.lifts_mm },
                 });
             }
             "G1" => self.go(words, says),
@@ -327,8 +342,10 @@ impl Device for Board {
                 Some(Waits::Homing { until, .. }) if Instant::now() < until => break,
                 Some(waits) => {
                     match waits {
-                        Waits::Homing { axes, .. } => {
+                        Waits::Homing { axes, lift_mm, .. } => {
                             self.stand();
+                            self.from[2] += lift_mm;
+                            self.goal[2] += lift_mm;
                             for (at, _) in axes.iter().enumerate().filter(|(_, homed)| **homed) {
                                 (self.from[at], self.goal[at]) = (0.0, 0.0);
                             }

@@ -46,6 +46,8 @@ pub enum Command<'a> {
     Finish,
     /// Reference moves of axes. THE STAGE MOVES. Answered when they have ended.
     Home(&'a [char]),
+    /// The reference move of one axis, without lifting others before (R0). Answered when it has ended.
+    HomeInPlace(char),
 }
 
 impl Command<'_> {
@@ -85,6 +87,9 @@ impl Command<'_> {
             }
             Self::Position => "M114".into(),
             Self::Finish => "M400".into(),
+            Self::HomeInPlace(letter) => format!("G28 {} R0", axis(*letter)?),
+            // Without a letter all axes would move.
+            Self::Home([]) => return Err(CodecError::BadLetter(' ')),
             Self::Home(letters) => {
                 let mut text = "G28".to_string();
                 for letter in *letters {

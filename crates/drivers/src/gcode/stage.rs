@@ -30,9 +30,11 @@ enum Doing {
         seen: Vec<i64>,
         since: Instant,
     },
-    /// Homing: what, the line's number, answers to earlier stops that come first, the stops before it, and when to give up.
+    /// Homing: what, for a nosepiece where all stood before, the line's number, answers to earlier stops that come first, the stops before it, and
+    /// when to give up.
     Homing {
         part: Part,
+        before: Vec<i64>,
         number: Option<u32>,
         owed: u32,
         stops: u64,
@@ -336,9 +338,21 @@ impl GcodeStage {
         }
         let all = self.motors.iter();
         let letters: Vec<char> = all.filter(|m| m.part() == part).map(|m| m.letter).collect();
+        let command = match (part, &letters[..]) {
+            (Part::Nosepiece, [letter]) => Command::HomeInPlace(*letter),
+            (_, []) => {
+                return Err(bad_setting(
+                    "the settings of this board name no axis to home",
+                ));
+            }
+            (_, letters) => Command::Home(letters),
+        };
+        let before = match part {
+            Part::Stage => Vec::new(),
+            Part::Nosepiece => self.steps(&mut ex)?,
+        };
         let number = self.talk.next();
-        let bytes = Command::Home(&letters).encode(number);
-        let bytes = bytes.map_err(|e| ex.nonsense(e))?;
+        let bytes = command.encode(number).map_err(|e| ex.nonsense(e))?;
         if let Err(e) = ex.send_unless_stopped(&bytes, stops) {
             self.talk.take_back();
             return Err(e);
@@ -346,6 +360,7 @@ impl GcodeStage {
         *lock(&self.homed).of(part) = false;
         *lock(&self.doing) = Doing::Homing {
             part,
+            before,
             number,
             owed: ex.take_owed(),
             stops,
@@ -368,6 +383,7 @@ impl GcodeStage {
     fn homing_ended(&self, ex: &mut Exchange<'_>, wait: Duration) -> Result<bool, ScopeError> {
         let Doing::Homing {
             part,
+            before,
             number,
             mut owed,
             stops,
@@ -393,6 +409,9 @@ impl GcodeStage {
                     } else {
                         Doing::Nothing
                     };
+                    if part == Part::Nosepiece {
+                        self.check_stage_stayed(ex, &before)?;
+                    }
                     return Ok(true);
                 }
                 Line::Resend(wanted) => {
@@ -417,6 +436,25 @@ impl GcodeStage {
             return Err(ex.overdue());
         }
         Ok(false)
+    }
+
+    /// Firmware may lift an axis before it homes another, or home all when it does not know the letter.
+    fn check_stage_stayed(&self, ex: &mut Exchange<'_>, before: &[i64]) -> Result<(), ScopeError> {
+        let now = self.steps(ex)?;
+        let moved = self.motors.iter().zip(before.iter().zip(now));
+        let stayed = |(motor, (before, now)): (&Motor, (&i64, i64))| {
+            motor.part() == Part::Nosepiece || (before - now).abs() <= 1
+        };
+        if moved.into_iter().all(stayed) {
+            return Ok(());
+        }
+        let mut homed = lock(&self.homed);
+        (homed.stage, homed.nosepiece) = (false, false);
+        *lock(&self.doing) = Doing::Stopped;
+        Err(device(
+            "the stage moved while the nosepiece looked for its switch: set the firmware so that homing that axis lifts nothing \
+             (Z_CLEARANCE_FOR_HOMING), look where the stage is, and home it again",
+        ))
     }
 
     fn steps(&self, ex: &mut Exchange<'_>) -> Result<Vec<i64>, ScopeError> {
@@ -672,6 +710,10 @@ impl Turns for GcodeStage {
 
     fn stop_turn(&self) -> Result<(), ScopeError> {
         self.stop()
+    }
+
+    fn doubt_place(&self) {
+        lock(&self.homed).nosepiece = false;
     }
 }
 

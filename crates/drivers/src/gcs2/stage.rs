@@ -468,15 +468,17 @@ impl Gcs2Stage {
             still_since: None,
         };
         let number = error_number(&mut ex)?;
-        if number != 0 {
-            *lock(&self.doing) = if number == STOPPED_BY_COMMAND {
-                Doing::Stopped
-            } else {
-                Doing::Nothing
-            };
-            return Err(refusal(number));
+        if number == STOPPED_BY_COMMAND {
+            // It may speak of a stop before the move.
+            *lock(&self.doing) = Doing::Stopped;
+            self.session.send_stop()?;
+        } else if number != 0 {
+            *lock(&self.doing) = Doing::Nothing;
         }
-        Ok(())
+        match number {
+            0 => Ok(()),
+            number => Err(refusal(number)),
+        }
     }
 
     /// Waits until the axes stand still, and says whether they do.
@@ -576,6 +578,10 @@ impl Turns for Gcs2Stage {
 
     fn stop_turn(&self) -> Result<(), ScopeError> {
         self.stop()
+    }
+
+    fn doubt_place(&self) {
+        // It measures where its axes are.
     }
 }
 
