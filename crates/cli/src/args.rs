@@ -130,6 +130,9 @@ pub(crate) struct FocusArgs {
     /// How far above and below the present height to look.
     #[arg(long, value_name = "UM", default_value_t = 40.0)]
     pub(crate) range_um: f64,
+    /// Go to this height first, and focus around it: for a stage that was left retracted.
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    pub(crate) near_z_um: Option<f64>,
     /// Print one JSON object on stdout instead of the summary.
     #[arg(long)]
     pub(crate) json: bool,

@@ -59,6 +59,9 @@ pub(crate) fn rein_in(cancel: &CancelToken) -> Result<Reins, CliError> {
             }
         }
         wish.cancel();
+        if scope.is_none() {
+            eprintln!("scopeservo: stopping as soon as the instrument is open");
+        }
         // From here too, should the working thread hang in a device.
         if let Some(scope) = scope
             && let Err(error) = scope.gate().stop()
@@ -140,7 +143,7 @@ fn ask(objective: &Objective, wanted: &dyn Fn() -> bool) -> bool {
     let id = &objective.id;
     if !std::io::stdin().is_terminal() {
         eprintln!(
-            "scopeservo: the objective {id} is needed, and nobody is there to turn the nosepiece"
+            "scopeservo: the objective {id} is needed, and nobody is there to turn the nosepiece: run this in a terminal"
         );
         return false;
     }
@@ -150,7 +153,14 @@ fn ask(objective: &Objective, wanted: &dyn Fn() -> bool) -> bool {
     eprintln!("Turn the nosepiece to {id}, then press Enter. Type n to end.");
     while wanted() {
         match lines.recv_timeout(LOOK) {
-            Ok(line) => return !line.trim().eq_ignore_ascii_case("n"),
+            Ok(line) => {
+                let word = line.trim().to_ascii_lowercase();
+                match word.as_str() {
+                    "" | "y" | "yes" => return true,
+                    "n" | "no" | "q" => return false,
+                    _ => eprintln!("Press Enter when {id} is in, or type n to end."),
+                }
+            }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return false,
         }

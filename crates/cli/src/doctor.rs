@@ -118,12 +118,17 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<bool, CliError> {
     findings.conclude(&desk.config.name)
 }
 
+/// Whether a device is to blame, and not what the file sets.
 fn is_device(error: &CliError) -> bool {
     use scopeservo_setup::SetupError;
-    matches!(
-        error,
-        CliError::Setup(SetupError::Driver(_) | SetupError::Scope(_))
-    )
+    let CliError::Setup(error) = error else {
+        return false;
+    };
+    match error.root() {
+        SetupError::Scope(ScopeError::BadSetting { .. }) => false,
+        SetupError::Driver(_) | SetupError::Scope(_) => true,
+        _ => false,
+    }
 }
 
 fn stage(scope: &Instrument, findings: &mut Findings) {

@@ -59,11 +59,24 @@ impl CliError {
             | Self::TooSmall { .. }
             | Self::Write { .. }
             | Self::Read { .. } => 2,
-            Self::Setup(error) => match error {
+            Self::Setup(error) => match error.root() {
+                // What the file sets cannot be.
+                SetupError::Scope(ScopeError::BadSetting { .. }) => 2,
                 SetupError::Scope(error) => scope_code(error),
                 _ => 2,
             },
             Self::Servo(ServoError::Scope(error)) => scope_code(error),
+            // What was looked for was not found, or what was seen was refused.
+            Self::Servo(
+                ServoError::NoFocus { .. }
+                | ServoError::CalibrationViews { .. }
+                | ServoError::CalibrationImplausible { .. }
+                | ServoError::CalibrationInconsistent { .. }
+                | ServoError::ObjectiveUnclear { .. }
+                | ServoError::PictureStays { .. }
+                | ServoError::StageTooCoarse { .. }
+                | ServoError::WrongObjective { .. },
+            ) => 3,
             Self::Servo(_) | Self::Twin(_) | Self::Features(_) | Self::Internal(_) => 1,
         }
     }

@@ -50,9 +50,18 @@ pub(crate) fn focus(args: &FocusArgs) -> Result<bool, CliError> {
             "--range-um must be above 0 and at most 2000".into(),
         ));
     }
+    if args.near_z_um.is_some_and(|z| !z.is_finite()) {
+        return Err(CliError::Usage("--near-z-um must be a number".into()));
+    }
     let desk = Desk::open(&args.instrument)?;
     let objective = desk.objective(args.objective.as_deref())?;
     let mut watcher = Watcher::new(None);
+    if let Some(um) = args.near_z_um {
+        // With the objective in that is to be focused, not with another.
+        desk.scope.select_objective(&objective.id)?;
+        let to = StagePose::default().with_si(Axis::Z, um * 1e-6);
+        desk.scope.move_to(&to)?;
+    }
     let options = FocusOptions {
         half_range_um: args.range_um,
         ..FocusOptions::default()

@@ -473,11 +473,16 @@ pub fn check_nosepiece(scope: &Instrument) -> Vec<Check> {
     vec![
         run("every objective can be selected", || {
             let before = gate.current_objective().map_err(said)?;
+            let home = gate.position().map_err(said)?;
             for objective in gate.objectives().to_vec() {
                 scope.select_objective(&objective.id).map_err(said)?;
             }
+            // Back to the height only with the objective that was there.
             if let Some(id) = before {
                 scope.select_objective(&id).map_err(said)?;
+                if gate.info().axis(Axis::Z).is_some() {
+                    scope.move_to(&home).map_err(said)?;
+                }
             }
             Ok(())
         }),

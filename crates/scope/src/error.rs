@@ -132,6 +132,24 @@ pub enum ScopeError {
         /// Where the stage stopped, if it could be read.
         at: Option<StagePose>,
     },
+    /// A change of objective ended before the objective was in. The stage stays where it is, away from the specimen.
+    #[error(
+        "{asked} was not brought into the beam, and which objective is there is not known{}. Change again{}",
+        match retracted_from_um {
+            Some(from) => format!("; the stage stays retracted, and was at z = {from:.1} um before"),
+            None => String::new(),
+        },
+        match retracted_from_um {
+            Some(from) => format!(", and focus near the height from before: `scopeservo focus --objective {asked} --near-z-um {from:.1}`"),
+            None => String::new(),
+        }
+    )]
+    ChangeEnded {
+        /// The objective that was asked for.
+        asked: ObjectiveId,
+        /// The height from which the stage retracted for the change, um.
+        retracted_from_um: Option<f64>,
+    },
     /// A device did not answer in time.
     #[error("the {device} did not finish within {seconds} s; it was told to stop")]
     Timeout {
@@ -190,6 +208,7 @@ impl ScopeError {
             | Self::NoSuchObjective { .. } => ErrorKind::Refused,
             Self::Interrupted { .. } => ErrorKind::Interrupted,
             Self::MoveAborted { .. }
+            | Self::ChangeEnded { .. }
             | Self::Timeout { .. }
             | Self::Lost { .. }
             | Self::Device { .. } => ErrorKind::Fault,

@@ -198,7 +198,13 @@ impl Instrument {
         if let Some(work) = work {
             self.move_to(&to(work.retracted_m))?;
         }
-        self.turn(id)?;
+        self.turn(id).map_err(|error| match (error, work) {
+            (ScopeError::ChangeEnded { asked, .. }, Some(work)) => ScopeError::ChangeEnded {
+                asked,
+                retracted_from_um: Some(work.here_m * 1e6),
+            },
+            (error, _) => error,
+        })?;
         if let Some(work) = work {
             let here = work.here_m;
             let heights = self.focus_heights();
@@ -230,6 +236,12 @@ impl Instrument {
         self.gate.start_change(id)?;
         self.objective_changes.fetch_add(1, Ordering::SeqCst);
         let settled = self.wait("nosepiece", CHANGE_TIMEOUT, || self.gate.poll_nosepiece())?;
+        if settled == Motion::Stopped {
+            return Err(ScopeError::ChangeEnded {
+                asked: id.clone(),
+                retracted_from_um: None,
+            });
+        }
         let now = self.gate.current_objective()?;
         if settled != Motion::Settled || now.as_ref() != Some(id) {
             return Err(ScopeError::Device {

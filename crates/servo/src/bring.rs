@@ -110,7 +110,9 @@ impl Procedure for Bring {
                     }
                     // What was found in focus was with another objective.
                     scope.forget_focus(&self.objective);
-                    if !scope.gate().disprove_objective() || self.mistakes == MISTAKES {
+                    // What fits no objective is no mistake of whoever turned it: the scales in the file may be wrong.
+                    let again = scope.gate().disprove_objective() && identity.looks_like.is_some();
+                    if !again || self.mistakes == MISTAKES {
                         return Err(ServoError::WrongObjective {
                             told: self.objective.clone(),
                             looks_like: identity.looks_like,

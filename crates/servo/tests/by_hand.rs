@@ -30,6 +30,8 @@ struct Told {
     told: Option<ObjectiveId>,
     proven: bool,
     asked: Vec<String>,
+    /// Will not turn it.
+    refuses: bool,
 }
 
 impl Nosepiece for Somebody {
@@ -42,6 +44,10 @@ impl Nosepiece for Somebody {
     fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
         let mut state = self.state.lock().unwrap();
         state.asked.push(to.0.clone());
+        if state.refuses {
+            state.told = None;
+            return Ok(());
+        }
         let turned = match state.mistakes.pop_front() {
             Some(wrong) => ObjectiveId(wrong.into()),
             None => to.clone(),
@@ -50,7 +56,10 @@ impl Nosepiece for Somebody {
         self.real.start_change(&turned)
     }
     fn poll(&self) -> Result<Motion, ScopeError> {
-        self.real.poll()
+        match self.state.lock().unwrap().refuses {
+            true => Ok(Motion::Stopped),
+            false => self.real.poll(),
+        }
     }
     fn stop(&self) -> Result<(), ScopeError> {
         self.real.stop()
@@ -224,4 +233,24 @@ fn a_picture_that_stays_is_no_proof() {
         matches!(stays, Err(ServoError::PictureStays { .. })),
         "{stays:?}"
     );
+}
+
+#[test]
+fn a_change_that_somebody_ends_says_where_the_stage_stays_and_how_to_go_on() {
+    let desk = desk(Config::realistic());
+    desk.bring("10x").unwrap();
+    let z_um = |desk: &Desk| desk.scope.gate().position().unwrap().z.unwrap().um();
+    let before = z_um(&desk);
+    desk.somebody.state.lock().unwrap().refuses = true;
+    let said = desk.bring("40x").unwrap_err().to_string();
+    assert!(said.contains("40x was not brought into the beam"), "{said}");
+    assert!(said.contains(&format!("--near-z-um {before:.1}")), "{said}");
+    assert!(z_um(&desk) < -1000.0, "{}", z_um(&desk));
+    // And on.
+    desk.somebody.state.lock().unwrap().refuses = false;
+    let id = ObjectiveId("40x".into());
+    desk.scope.select_objective(&id).unwrap();
+    let near = scopeservo_scope::StagePose::default().with_si(Axis::Z, before * 1e-6);
+    desk.scope.move_to(&near).unwrap();
+    desk.bring("40x").unwrap();
 }

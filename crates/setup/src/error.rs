@@ -59,4 +59,22 @@ pub enum SetupError {
     /// A device refused or failed, or a rule makes no sense for it.
     #[error(transparent)]
     Scope(#[from] ScopeError),
+    /// What is wrong with one driver.
+    #[error("drivers.{driver}: {source}")]
+    In {
+        /// Its name in the file.
+        driver: String,
+        /// What.
+        source: Box<SetupError>,
+    },
+}
+
+impl SetupError {
+    /// What is wrong, whichever driver it is with.
+    pub fn root(&self) -> &Self {
+        match self {
+            Self::In { source, .. } => source.root(),
+            error => error,
+        }
+    }
 }

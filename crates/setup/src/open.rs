@@ -57,7 +57,15 @@ pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<O
     };
     let mut all: BTreeMap<&str, Found> = BTreeMap::new();
     for (name, driver) in &config.drivers {
-        all.insert(name, find(config, driver, &clock)?);
+        let found = find(config, driver, &clock).map_err(|error| match error {
+            // It names the driver already.
+            error @ (SetupError::Driver(_) | SetupError::Sense { .. }) => error,
+            error => SetupError::In {
+                driver: name.clone(),
+                source: Box::new(error),
+            },
+        })?;
+        all.insert(name, found);
     }
     let lacks = |driver: &str, device: &str| {
         config.senseless(format!(

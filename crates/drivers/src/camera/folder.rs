@@ -2,7 +2,7 @@
 
 use crate::camera::exposing::Exposing;
 use crate::camera::picture::{self, Picture};
-use crate::camera::{bad_setting, check_latency, device, duration, frame, info, lost};
+use crate::camera::{bad_setting, check_latency, device, duration, frame, info};
 use crate::session::lock;
 use scopeservo_scope::{Camera, CameraInfo, Clock, Frame, ScopeError};
 use serde::Deserialize;
@@ -160,7 +160,7 @@ impl FolderCamera {
 
 /// The pictures in a folder by name.
 fn files(path: &Path) -> Result<BTreeMap<PathBuf, Version>, ScopeError> {
-    let unreadable = |e: std::io::Error| lost(format!("{}: {e}", path.display()));
+    let unreadable = |e: std::io::Error| device(format!("{}: {e}", path.display()));
     let mut all = BTreeMap::new();
     for entry in fs::read_dir(path).map_err(unreadable)? {
         let file = entry.map_err(unreadable)?.path();
@@ -227,9 +227,12 @@ fn wait_for_new(
             None => growing = None,
         }
         if asked.elapsed() > after + timeout {
-            return Err(fault.unwrap_or(ScopeError::Timeout {
-                device: "camera",
-                seconds: (after + timeout).as_secs_f64(),
+            return Err(fault.unwrap_or_else(|| {
+                device(format!(
+                    "no new picture came into {} within {:.1} s: let the other program save there, again and again",
+                    path.display(),
+                    (after + timeout).as_secs_f64()
+                ))
             }));
         }
     }
@@ -337,7 +340,8 @@ mod tests {
         });
         let started = Instant::now();
         let silence = camera.grab();
-        assert!(matches!(silence, Err(ScopeError::Timeout { .. })));
+        let silence = silence.unwrap_err().to_string();
+        assert!(silence.contains("no new picture came into"), "{silence}");
         assert!(started.elapsed() < Duration::from_secs(1));
     }
 
@@ -348,9 +352,9 @@ mod tests {
         let empty = said(camera(FolderOrder::InTurn, folder.path()));
         assert!(empty.contains("no JPEG, PNG or TIFF"), "{empty}");
         let silent = said(camera(FolderOrder::Newest, folder.path()));
-        assert!(silent.contains("did not finish within"), "{silent}");
+        assert!(silent.contains("no new picture came into"), "{silent}");
         let none = said(camera(FolderOrder::Newest, &folder.path().join("none")));
-        assert!(none.contains("lost"), "{none}");
+        assert!(none.contains("none: "), "{none}");
         let mut without = settings(FolderOrder::Newest);
         without.latency_ms = None;
         let clock = Arc::new(SystemClock::new());

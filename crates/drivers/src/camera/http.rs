@@ -60,9 +60,12 @@ impl Url {
             what: format!("the address '{}' {what}", without_user(text)),
         };
         let Some(rest) = text.strip_prefix("http://") else {
-            return Err(bad(
-                "must begin with http:// (encrypted connections are not supported: use a proxy on this machine)",
-            ));
+            return Err(bad(match text.starts_with("https://") {
+                true => {
+                    "asks for an encrypted connection, which is not supported: use a proxy on this machine"
+                }
+                false => "must begin with http://",
+            }));
         };
         // A request is lines: nothing in it may end one.
         if !rest.bytes().all(|b| b.is_ascii_graphic()) {
@@ -248,7 +251,7 @@ impl Head {
     ///
     /// # Errors
     /// [`HttpError::Status`] with what to do.
-    pub fn check(&self) -> Result<(), HttpError> {
+    pub fn check(&self, login: Option<&Login>) -> Result<(), HttpError> {
         let hint = match self.status {
             200 => return Ok(()),
             301 | 302 | 303 | 307 | 308 => match &self.location {
@@ -259,7 +262,11 @@ impl Head {
                 Some(how) if !how.to_ascii_lowercase().starts_with("basic") => {
                     "; it wants to know who asks in a way that is not supported: allow Basic authentication in its settings".into()
                 }
-                _ => "; it wants to know who asks: set user and password_file".into(),
+                _ if login.is_some() => {
+                    "; the user, or the password in password_file, is not the right one".into()
+                }
+                _ => "; it wants to know who asks: set user and password_file (beside settings)"
+                    .into(),
             },
             403 => "; it does not let this machine or this user in".into(),
             404 => "; it has no such path: look into its manual for the address of the picture"
@@ -367,7 +374,7 @@ impl Answer {
             let n = tcp.read(&mut chunk, deadline)?;
             bytes.extend_from_slice(&chunk[..n]);
             if let Some((head, length)) = decode_head(&bytes)? {
-                head.check()?;
+                head.check(login)?;
                 bytes.drain(..length);
                 return Ok(Self {
                     tcp,
@@ -525,7 +532,7 @@ mod tests {
         }
         let refused = |text: &str| {
             let (head, _) = decode_head(text.as_bytes()).unwrap().unwrap();
-            head.check().expect_err(text).to_string()
+            head.check(None).expect_err(text).to_string()
         };
         let moved = refused("HTTP/1.1 301 Moved\r\nLocation: http://cam/x\r\n\r\n");
         assert!(moved.contains("ask at http://cam/x"), "{moved}");

@@ -4,7 +4,7 @@ use crate::camera::exposing::ExposureSettings;
 use crate::camera::http::{Answer, HttpError, Login, Url};
 use crate::camera::multipart::Parts;
 use crate::camera::stream::{Packed, Source, StreamCamera};
-use crate::camera::{duration, lost};
+use crate::camera::{device, duration, lost};
 use crate::link::LinkError;
 use scopeservo_scope::{Clock, ScopeError};
 use serde::Deserialize;
@@ -47,9 +47,12 @@ pub fn mjpeg_camera(
     let exposing = settings.exposure.exposing(login.clone(), timeout)?;
     let name = format!("MJPEG camera at {url}");
     let open = move || -> Result<Box<dyn Source>, ScopeError> {
-        let at = |what: &dyn std::fmt::Display| lost(format!("{url}: {what}"));
-        let answer = Answer::get(&url, login.as_ref(), timeout).map_err(|e| at(&e))?;
-        let parts = Parts::new(&answer.head.content_type).map_err(|e| at(&e))?;
+        let answer = Answer::get(&url, login.as_ref(), timeout).map_err(|error| match error {
+            HttpError::Link(error) => lost(format!("{url}: {error}")),
+            error => device(format!("{url}: {error}")),
+        })?;
+        let parts = Parts::new(&answer.head.content_type);
+        let parts = parts.map_err(|e| device(format!("{url}: {e}")))?;
         let grew = Instant::now();
         Ok(Box::new(Mjpeg {
             answer,

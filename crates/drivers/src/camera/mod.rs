@@ -52,7 +52,7 @@ fn bad_setting(what: impl Into<String>) -> ScopeError {
 }
 
 /// No picture takes longer on its way, and nobody waits longer for one.
-const LONGEST_MS: f64 = 600_000.0;
+const LONGEST_MS: f64 = 60_000.0;
 
 /// A setting in milliseconds as a time.
 fn duration(what: &str, ms: f64) -> Result<Duration, ScopeError> {

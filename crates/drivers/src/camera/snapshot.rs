@@ -85,11 +85,12 @@ fn shot(
 ) -> Result<picture::Picture, ScopeError> {
     let bytes = Answer::get(url, login, timeout).and_then(|answer| answer.whole(timeout));
     let bytes = bytes.map_err(|error| match error {
-        HttpError::Link(LinkError::Silence) => ScopeError::Timeout {
-            device: "camera",
-            seconds: timeout.as_secs_f64(),
-        },
-        error => lost(format!("{url}: {error}")),
+        HttpError::Link(LinkError::Silence) => device(format!(
+            "{url} gave no whole picture within {:.1} s; if it sends one after another, use mjpeg",
+            timeout.as_secs_f64()
+        )),
+        HttpError::Link(error) => lost(format!("{url}: {error}")),
+        error => device(format!("{url}: {error}")),
     })?;
     picture::decode(&bytes).map_err(|e| device(format!("{url}: {e}")))
 }

@@ -263,10 +263,10 @@ impl Shared {
             if left.is_zero() {
                 return Err(match fault {
                     Some(fault) => device(fault.to_string()),
-                    None => ScopeError::Timeout {
-                        device: "camera",
-                        seconds: within.as_secs_f64(),
-                    },
+                    None => device(format!(
+                        "no picture came within {:.1} s: see whether it is switched on, sends, and serves nobody else",
+                        within.as_secs_f64()
+                    )),
                 });
             }
             let waited = self.news.wait_timeout(state, left);
@@ -412,7 +412,8 @@ mod tests {
             assert!(started.elapsed() < Duration::from_millis(600), "{fault}");
             error
         };
-        assert!(matches!(told("silent"), ScopeError::Timeout { .. }));
+        let silent = told("silent").to_string();
+        assert!(silent.contains("no picture came within 0.4 s"), "{silent}");
         let damaged = told("damaged").to_string();
         assert!(damaged.contains("breaks off"), "{damaged}");
         let size = told("other size").to_string();
