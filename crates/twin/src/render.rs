@@ -9,6 +9,8 @@ use rayon::prelude::*;
 
 /// Blur wider than this, in samples, is computed on a coarser grid.
 const FINE_ENOUGH: f64 = 4.0;
+/// No grid is coarser: its samples are averages of the specimen over tiles that would reach far beyond the view, um.
+const COARSEST_UM: f64 = 10.0;
 /// No blur is wider than this share of the picture: beyond it every picture is grey.
 const WIDEST: f64 = 0.25;
 /// No more than this share of the picture is rendered around it.
@@ -84,7 +86,7 @@ pub(crate) fn render(scene: &Scene, view: &View, smear_px: f64) -> Result<Planes
         })
         .fold(0.0, f64::max);
     let mut step = 1usize;
-    while narrow / (2 * step) as f64 >= FINE_ENOUGH {
+    while narrow / (2 * step) as f64 >= FINE_ENOUGH && (2 * step) as f64 * pitch <= COARSEST_UM {
         step *= 2;
     }
     // Farther out the border's value goes on; at such a blur nobody can tell, and the work stays bounded.
