@@ -110,6 +110,11 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<bool, CliError> {
         for check in conformance::check_instrument(&desk.scope) {
             findings.add(check.into());
         }
+        if desk.scope.gate().objective_is_unproven() && !args.json {
+            say!(
+                "    which objective is in was taken from you: `focus` and `calibrate` look at the picture"
+            );
+        }
     } else if !args.json {
         say!(
             "    motion was not tried: `scopeservo doctor --allow-motion`, over a specimen that does not matter, in focus"
