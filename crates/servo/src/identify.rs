@@ -8,7 +8,7 @@ use crate::vision::{centre_px, features, grab, same_objective};
 use crate::{Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
 use scopeservo_registration::{NotFound, register};
-use scopeservo_scope::{Axis, Instrument, Objective, ObjectiveId, ScopeError};
+use scopeservo_scope::{Axis, ErrorKind, Instrument, Objective, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 
 /// The move, as a share of the smallest field that any objective of the instrument has: it stays in the field whichever is in.
@@ -192,8 +192,12 @@ impl Procedure for Identify {
                 .into());
         };
         let looked = self.look(scope, sink, &home, along, step_m);
-        // Back, whatever came of it; a stage that was stopped stays.
-        if scope.check_cancel().is_ok() {
+        // Back, also when a place or a picture was refused; a stage that failed or was stopped stays.
+        let stays = match &looked {
+            Err(ServoError::Scope(error)) => error.kind() != ErrorKind::Refused,
+            _ => false,
+        };
+        if !stays {
             scope.move_to(&home.request(&scope.gate().position()?))?;
         }
         let um_per_px = match looked? {
