@@ -93,7 +93,7 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<bool, CliError> {
     let desk = match Desk::open(&args.instrument) {
         Ok(desk) => desk,
         // A file that cannot be understood is bad input, not a finding.
-        Err(error) if error.exit_code() == 2 && !is_device(&error) => return Err(error),
+        Err(error) if error.exit_code() == 2 && !is_driver(&error) => return Err(error),
         Err(error) => {
             findings.look("the instrument can be opened", Err(error.to_string()));
             return findings.conclude("doctor");
@@ -123,17 +123,10 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<bool, CliError> {
     findings.conclude(&desk.config.name)
 }
 
-/// Whether a device is to blame, and not what the file sets.
-fn is_device(error: &CliError) -> bool {
+/// Whether there is no driver: of what exits with bad input, the one thing that is a finding.
+fn is_driver(error: &CliError) -> bool {
     use scopeservo_setup::SetupError;
-    let CliError::Setup(error) = error else {
-        return false;
-    };
-    match error.root() {
-        SetupError::Scope(ScopeError::BadSetting { .. }) => false,
-        SetupError::Driver(_) | SetupError::Scope(_) => true,
-        _ => false,
-    }
+    matches!(error, CliError::Setup(e) if matches!(e.root(), SetupError::Driver(_)))
 }
 
 fn stage(scope: &Instrument, findings: &mut Findings) {

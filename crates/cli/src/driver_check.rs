@@ -21,18 +21,7 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
     let secret = args.secret_file.as_deref().map(read_secret).transpose()?;
     let cancel = CancelToken::new();
     let reins = rein_in(&cancel)?;
-    let open_driver = || {
-        match (&args.tcp, args.command.split_first()) {
-        (Some(address), _) => Ok(Driver::connect(address, secret.as_ref()).map_err(SetupError::from)?),
-        (None, Some((program, arguments))) => {
-            Ok(Driver::spawn(program, arguments).map_err(SetupError::from)?)
-        }
-        (None, None) => Err(CliError::Usage(
-            "name the driver's program after --, like `scopeservo driver check -- python3 my_driver.py`, or --tcp ADDRESS".into(),
-        )),
-    }
-    };
-    let driver = open_driver()?;
+    let driver = open(args, secret.as_ref())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let devices = driver.devices(&clock).map_err(SetupError::from)?;
     let mut findings = Findings::new(args.json);
@@ -80,7 +69,8 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
             drop(driver);
         };
         let put_back = || -> Result<Arc<Instrument>, CliError> {
-            let devices = open_driver()?.devices(&clock).map_err(SetupError::from)?;
+            let driver = open(args, secret.as_ref())?;
+            let devices = driver.devices(&clock).map_err(SetupError::from)?;
             let (scope, _) = instrument(devices, args.retract_z_um, &clock, &cancel)?;
             reins.hold(&scope);
             Ok(scope)
@@ -97,6 +87,19 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
         }
     }
     findings.conclude("driver check")
+}
+
+fn open(args: &DriverCheckArgs, secret: Option<&Secret>) -> Result<Driver, CliError> {
+    let driver = match (&args.tcp, args.command.split_first()) {
+        (Some(address), _) => Driver::connect(address, secret),
+        (None, Some((program, arguments))) => Driver::spawn(program, arguments),
+        (None, None) => {
+            return Err(CliError::Usage(
+                "name the driver's program after --, like `scopeservo driver check -- python3 my_driver.py`, or --tcp ADDRESS".into(),
+            ));
+        }
+    };
+    Ok(driver.map_err(SetupError::from)?)
 }
 
 /// The devices of a driver behind a gate, and its light.

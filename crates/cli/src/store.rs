@@ -93,17 +93,15 @@ impl Store {
             focus_z_um: focus_z.map(Length::um),
             residual_px,
         };
-        let last = entries(&folder)?.iter().map(|p| number_of(p)).max();
-        let mut number = last.unwrap_or(0) + 1;
+        let bytes = to_json(&kept)?;
         loop {
-            let name = format!("{number:06}_{}.json", made.replace(':', "-"));
-            let path = folder.join(name);
+            let last = entries(&folder)?.iter().map(|p| number_of(p)).max();
+            let number = last.unwrap_or(0) + 1;
+            let path = folder.join(format!("{number:06}_{}.json", made.replace(':', "-")));
             // Another process may make one at the same time: whichever comes second takes the next number.
-            let taken = entries(&folder)?.iter().any(|p| number_of(p) == number);
-            if !taken && write_new(&path, &to_json(&kept)?)? {
+            if write_new(&path, &bytes)? {
                 return Ok(path);
             }
-            number += 1;
         }
     }
 

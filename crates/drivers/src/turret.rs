@@ -26,6 +26,24 @@ pub struct TurretPlace {
     pub at_deg: f64,
 }
 
+impl TurretPlace {
+    fn objective(&self) -> Objective {
+        Objective {
+            id: ObjectiveId(self.id.clone()),
+            magnification: self.magnification,
+            numerical_aperture: self.numerical_aperture,
+            nominal_um_per_px: self.um_per_px,
+        }
+    }
+}
+
+/// What an axis of a controller belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Part {
+    Stage,
+    Nosepiece,
+}
+
 /// The objectives of a nosepiece, checked: at least two, of different names and places that `tolerance_deg` tells apart.
 pub(crate) fn check(places: &[TurretPlace], tolerance_deg: f64) -> Result<(), ScopeError> {
     if places.len() < 2 {
@@ -40,17 +58,7 @@ pub(crate) fn check(places: &[TurretPlace], tolerance_deg: f64) -> Result<(), Sc
         ));
     }
     for place in places {
-        let sizes = [
-            place.magnification,
-            place.numerical_aperture,
-            place.um_per_px,
-        ];
-        if !sizes.iter().all(|v| v.is_finite() && *v > 0.0) {
-            return Err(bad_setting(format!(
-                "magnification, numerical_aperture and um_per_px of {} must be above 0",
-                place.id
-            )));
-        }
+        place.objective().check()?;
     }
     if !(tolerance_deg.is_finite() && tolerance_deg > 0.0) {
         return Err(bad_setting("arrival_tolerance_deg must be above 0"));
@@ -117,15 +125,9 @@ impl Turret {
         tolerance_deg: f64,
         zero_is_given: bool,
     ) -> Self {
-        let objective = |p: &TurretPlace| Objective {
-            id: ObjectiveId(p.id.clone()),
-            magnification: p.magnification,
-            numerical_aperture: p.numerical_aperture,
-            nominal_um_per_px: p.um_per_px,
-        };
         Self {
             axis,
-            objectives: places.iter().map(objective).collect(),
+            objectives: places.iter().map(TurretPlace::objective).collect(),
             places_deg: places.iter().map(|p| p.at_deg).collect(),
             tolerance_deg,
             doing: Mutex::new(Doing::Nothing),

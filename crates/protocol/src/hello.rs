@@ -312,22 +312,14 @@ impl NosepieceHello {
             if hello.id.trim().is_empty() || all.iter().any(|o| o.id == id) {
                 return Err(format!("the objective '{id}' has no name of its own"));
             }
-            let sizes = [
-                hello.magnification,
-                hello.numerical_aperture,
-                hello.um_per_px,
-            ];
-            if !sizes.iter().all(|v| v.is_finite() && *v > 0.0) {
-                return Err(format!(
-                    "magnification, numerical_aperture and um_per_px of {id} must be above 0"
-                ));
-            }
-            all.push(Objective {
+            let objective = Objective {
                 id,
                 magnification: hello.magnification,
                 numerical_aperture: hello.numerical_aperture,
                 nominal_um_per_px: hello.um_per_px,
-            });
+            };
+            objective.check().map_err(|e| e.to_string())?;
+            all.push(objective);
         }
         match all.is_empty() {
             true => Err("the nosepiece has no objectives".into()),

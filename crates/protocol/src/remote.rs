@@ -235,15 +235,7 @@ impl Camera for RemoteCamera {
     }
 
     fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
-        let info = &self.info;
-        if exposure < info.min_exposure || exposure > info.max_exposure {
-            return Err(ScopeError::BadSetting {
-                what: format!(
-                    "the camera exposes for {:?} to {:?}; {exposure:?} was asked for",
-                    info.min_exposure, info.max_exposure
-                ),
-            });
-        }
+        self.info.check_exposure(exposure)?;
         self.ask_exposure(Some(exposure.as_secs_f64() * 1e3))
     }
 

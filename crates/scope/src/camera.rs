@@ -43,6 +43,24 @@ pub struct CameraInfo {
     pub max_exposure: Duration,
 }
 
+impl CameraInfo {
+    /// Whether the camera can expose for so long.
+    ///
+    /// # Errors
+    /// [`ScopeError::BadSetting`].
+    pub fn check_exposure(&self, exposure: Duration) -> Result<(), ScopeError> {
+        match (self.min_exposure..=self.max_exposure).contains(&exposure) {
+            true => Ok(()),
+            false => Err(ScopeError::BadSetting {
+                what: format!(
+                    "the camera exposes for {:?} to {:?}; {exposure:?} was asked for",
+                    self.min_exposure, self.max_exposure
+                ),
+            }),
+        }
+    }
+}
+
 /// Pixel samples, row-major, interleaved.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Samples {

@@ -28,6 +28,29 @@ pub struct Objective {
     pub nominal_um_per_px: f64,
 }
 
+impl Objective {
+    /// Whether its numbers can be those of an objective.
+    ///
+    /// # Errors
+    /// [`ScopeError::BadSetting`].
+    pub fn check(&self) -> Result<(), ScopeError> {
+        let sizes = [
+            self.magnification,
+            self.numerical_aperture,
+            self.nominal_um_per_px,
+        ];
+        match sizes.iter().all(|v| v.is_finite() && *v > 0.0) {
+            true => Ok(()),
+            false => Err(ScopeError::BadSetting {
+                what: format!(
+                    "magnification, numerical_aperture and um_per_px of {} must be above 0",
+                    self.id
+                ),
+            }),
+        }
+    }
+}
+
 /// A motorised (or hand-turned) nosepiece. A change is started and polled.
 pub trait Nosepiece: Send + Sync {
     /// The objectives it carries.

@@ -37,20 +37,14 @@ pub struct Identity {
     pub as_told: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum State {
-    Begin,
-    Look { halvings: u8 },
-}
-
 /// The check as a step machine: three moves and two views per step. The view must be in focus.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Identify {
     objective: ObjectiveId,
     vision: VisionOptions,
-    state: State,
+    /// Where it began.
     home: Option<PlanarPose>,
+    halvings: u8,
 }
 
 impl Identify {
@@ -59,8 +53,8 @@ impl Identify {
         Self {
             objective,
             vision,
-            state: State::Begin,
             home: None,
+            halvings: 0,
         }
     }
 
@@ -74,24 +68,25 @@ impl Identify {
         along: Vec2,
         step_m: f64,
     ) -> Result<Result<f64, NotFound>, ServoError> {
-        let mut seen = Vec::new();
-        for k in [1.0, 2.0] {
+        let mut see = |k: f64| -> Result<_, ServoError> {
             let pose = place(home, along, step_m, k);
             let at = scope.move_to(&pose.request(&scope.gate().position()?))?;
             let frame = grab(scope, sink, FrameRole::Identify, &self.objective)?;
             let centre = centre_px(frame.width, frame.height);
-            let found = features(&frame, &self.vision.view)?;
-            seen.push((PlanarPose::from(&at).x_m, centre, found));
-        }
-        let [(a, centre, first), (b, _, second)] = &seen[..] else {
-            return Err(ServoError::BadOption("two views were taken".into()));
+            Ok((
+                PlanarPose::from(&at).x_m,
+                centre,
+                features(&frame, &self.vision.view)?,
+            ))
         };
+        let (a, centre, first) = see(1.0)?;
+        let (b, _, second) = see(2.0)?;
         let prior = same_objective(0.05);
-        let estimate = match register(second, first, &prior, &self.vision.registration).outcome {
+        let estimate = match register(&second, &first, &prior, &self.vision.registration).outcome {
             Ok(estimate) => estimate,
             Err(why) => return Ok(Err(why)),
         };
-        let shift = estimate.target_from_view.recentred(*centre, *centre).offset;
+        let shift = estimate.target_from_view.recentred(centre, centre).offset;
         let moved_um = 1e6 * f64::hypot(b[0] - a[0], b[1] - a[1]);
         Ok(Ok(moved_um / f64::hypot(shift[0], shift[1])))
     }
@@ -150,17 +145,12 @@ impl Procedure for Identify {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<Identity>, ServoError> {
-        let halvings = match self.state {
-            State::Begin => {
-                self.home = Some(PlanarPose::from(&scope.gate().position()?));
-                self.state = State::Look { halvings: 0 };
-                return Ok(Progress::Continue);
-            }
-            State::Look { halvings } => halvings,
+        let home = match self.home {
+            Some(home) => home,
+            None => *self
+                .home
+                .insert(PlanarPose::from(&scope.gate().position()?)),
         };
-        let home = self.home.ok_or_else(|| {
-            ServoError::BadOption("a stored check has no place to go back to; start it anew".into())
-        })?;
         let info = scope.camera().info();
         let side_px = info.width.min(info.height) as f64;
         let nominal = |o: &Objective| o.nominal_um_per_px * 1e-6;
@@ -173,7 +163,7 @@ impl Procedure for Identify {
         let scatter_m = directions(scope).first().map_or(0.0, |d| d.1);
         let most_m = 0.5 * side_px * told;
         let step_m = (SHARE * side_px * finest).max((SCATTERS * scatter_m).min(most_m))
-            / f64::from(1u32 << halvings);
+            / f64::from(1u32 << self.halvings);
         // Where both places are allowed; the first that is refused says why when none is.
         let present = scope.gate().position()?;
         let mut refused = None;
@@ -202,10 +192,8 @@ impl Procedure for Identify {
         }
         let um_per_px = match looked? {
             Ok(um_per_px) => um_per_px,
-            Err(_) if halvings < HALVINGS => {
-                self.state = State::Look {
-                    halvings: halvings + 1,
-                };
+            Err(_) if self.halvings < HALVINGS => {
+                self.halvings += 1;
                 return Ok(Progress::Continue);
             }
             Err(reason) => {

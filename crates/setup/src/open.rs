@@ -310,18 +310,15 @@ fn objectives(config: &Config) -> Result<Vec<Objective>, SetupError> {
         if all.iter().any(|o| o.id.0 == *id) || id.is_empty() {
             return Err(config.senseless(format!("the objective '{id}' needs a name of its own")));
         }
-        let sizes = [*magnification, *numerical_aperture, *um_per_px];
-        if !sizes.iter().all(|v| v.is_finite() && *v > 0.0) {
-            return Err(config.senseless(format!(
-                "magnification, numerical_aperture and um_per_px of {id} must be above 0"
-            )));
-        }
-        all.push(Objective {
+        let objective = Objective {
             id: ObjectiveId(id.clone()),
             magnification: *magnification,
             numerical_aperture: *numerical_aperture,
             nominal_um_per_px: *um_per_px,
-        });
+        };
+        let checked = objective.check();
+        checked.map_err(|e| config.senseless(e.to_string()))?;
+        all.push(objective);
     }
     Ok(all)
 }

@@ -170,15 +170,7 @@ impl Camera for TwinCamera {
     }
 
     fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
-        let info = &self.0.camera_info;
-        if exposure < info.min_exposure || exposure > info.max_exposure {
-            return Err(ScopeError::BadSetting {
-                what: format!(
-                    "the camera exposes for {:?} to {:?}; {exposure:?} was asked for",
-                    info.min_exposure, info.max_exposure
-                ),
-            });
-        }
+        self.0.camera_info.check_exposure(exposure)?;
         self.0.plugged("camera")?.exposure = exposure;
         Ok(exposure)
     }

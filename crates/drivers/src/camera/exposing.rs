@@ -3,7 +3,7 @@
 use crate::camera::http::{Answer, Login, Url};
 use crate::camera::{bad_setting, device, duration};
 use crate::session::lock;
-use scopeservo_scope::ScopeError;
+use scopeservo_scope::{CameraInfo, ScopeError};
 use serde::Deserialize;
 use std::sync::Mutex;
 use std::time::Duration;
@@ -58,13 +58,13 @@ impl Exposing {
         *lock(&self.now)
     }
 
-    pub(crate) fn set(&self, exposure: Duration) -> Result<Duration, ScopeError> {
-        let [shortest, longest] = self.range;
-        if exposure < shortest || exposure > longest {
-            return Err(bad_setting(format!(
-                "the camera exposes for {shortest:?} to {longest:?}; {exposure:?} was asked for"
-            )));
-        }
+    /// Sets it on the camera with this `info`, whose range is that of [`Exposing::range`].
+    pub(crate) fn set(
+        &self,
+        info: &CameraInfo,
+        exposure: Duration,
+    ) -> Result<Duration, ScopeError> {
+        info.check_exposure(exposure)?;
         let mut now = lock(&self.now);
         *now = match &self.set {
             Some(set) => set(exposure)?,
@@ -88,10 +88,7 @@ impl ExposureSettings {
             (None, None, None) => return Ok(Exposing::fixed(now)),
             (Some(url), Some(shortest), Some(longest)) => {
                 let shortest = duration("exposure.shortest_ms", shortest)?;
-                (
-                    url.clone(),
-                    [shortest, duration("exposure.longest_ms", longest)?],
-                )
+                (url, [shortest, duration("exposure.longest_ms", longest)?])
             }
             _ => {
                 return Err(bad_setting(
@@ -112,7 +109,7 @@ impl ExposureSettings {
                 .replace("{ms}", &format!("{:.3}", s * 1e3))
                 .replace("{s}", &format!("{s:.6}"))
         };
-        if filled(now) == url {
+        if filled(now) == *url {
             return Err(bad_setting(
                 "exposure.set_url must hold {us}, {ms} or {s}: the exposure in microseconds, milliseconds or seconds",
             ));

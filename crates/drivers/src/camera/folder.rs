@@ -79,8 +79,7 @@ impl FolderCamera {
     /// Looks into the folder. What a picture is like is read off one that is there, or off the first that comes.
     ///
     /// # Errors
-    /// [`ScopeError::BadSetting`], [`ScopeError::Lost`] when it cannot be read, [`ScopeError::Timeout`] when no picture is there,
-    /// [`ScopeError::Device`] for a picture that cannot be read.
+    /// [`ScopeError::BadSetting`]; [`ScopeError::Device`] for a folder or a picture that cannot be read, and when none comes.
     pub fn open(
         settings: &FolderSettings,
         path: PathBuf,
@@ -104,24 +103,26 @@ impl FolderCamera {
             }
         };
         check_latency("latency_ms", latency, exposure)?;
-        let mut there: Vec<_> = files(&path)?.into_iter().collect();
-        if settings.order == FolderOrder::Newest {
-            there.sort_by_key(|(_, version)| std::cmp::Reverse(version.changed));
-        }
-        let first = match &there[..] {
-            [(file, _), ..] if settings.order == FolderOrder::InTurn => read(file)?,
-            // Of those that lie there, the newest that is whole: the last one may still be written.
-            [_, ..] => match there.iter().find_map(|(file, _)| read(file).ok()) {
-                Some(picture) => picture,
-                None => wait_for_new(&path, Duration::ZERO, timeout)?.0,
+        let there = files(&path)?;
+        let first = match settings.order {
+            FolderOrder::InTurn => match there.keys().next() {
+                Some(file) => read(file)?,
+                None => {
+                    return Err(bad_setting(format!(
+                        "there is no JPEG, PNG or TIFF file in {}",
+                        path.display()
+                    )));
+                }
             },
-            [] if settings.order == FolderOrder::InTurn => {
-                return Err(bad_setting(format!(
-                    "there is no JPEG, PNG or TIFF file in {}",
-                    path.display()
-                )));
+            FolderOrder::Newest => {
+                let mut there: Vec<_> = there.into_iter().collect();
+                there.sort_by_key(|(_, version)| std::cmp::Reverse(version.changed));
+                // Of those that lie there, the newest that is whole: the last one may still be written.
+                match there.iter().find_map(|(file, _)| read(file).ok()) {
+                    Some(picture) => picture,
+                    None => wait_for_new(&path, Duration::ZERO, timeout)?,
+                }
             }
-            [] => wait_for_new(&path, Duration::ZERO, timeout)?.0,
         };
         let exposing = Exposing::fixed(exposure);
         Ok(Self {
@@ -192,12 +193,8 @@ fn read(file: &Path) -> Result<Picture, ScopeError> {
     picture::decode(&bytes).map_err(|e| bad(&e))
 }
 
-/// Waits until `after` has passed and then for a picture that was not there before, whole, and how long it took until it was there.
-fn wait_for_new(
-    path: &Path,
-    after: Duration,
-    timeout: Duration,
-) -> Result<(Picture, Duration), ScopeError> {
+/// Waits until `after` has passed and then for a picture that was not there before, whole.
+fn wait_for_new(path: &Path, after: Duration, timeout: Duration) -> Result<Picture, ScopeError> {
     let asked = Instant::now();
     std::thread::sleep(after);
     let mut before = files(path)?;
@@ -214,7 +211,7 @@ fn wait_for_new(
             // It has stopped growing.
             Some((file, version)) if growing.as_ref() == Some(&(file.clone(), version.clone())) => {
                 match read(file) {
-                    Ok(picture) => return Ok((picture, asked.elapsed())),
+                    Ok(picture) => return Ok(picture),
                     // Perhaps its writer only paused; it counts again when it grows.
                     Err(error) => {
                         fault = Some(error);
@@ -248,7 +245,7 @@ impl Camera for FolderCamera {
     }
 
     fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
-        self.exposing.set(exposure)
+        self.exposing.set(&self.info, exposure)
     }
 
     fn grab(&self) -> Result<Frame, ScopeError> {
@@ -256,7 +253,7 @@ impl Camera for FolderCamera {
         let mut state = lock(&self.state);
         let picture = match self.order {
             FolderOrder::InTurn => self.in_turn(&mut state)?,
-            FolderOrder::Newest => wait_for_new(&self.path, self.latency, self.timeout)?.0,
+            FolderOrder::Newest => wait_for_new(&self.path, self.latency, self.timeout)?,
         };
         let sequence = state.count;
         state.count += 1;

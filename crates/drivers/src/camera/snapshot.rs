@@ -105,7 +105,7 @@ impl Camera for SnapshotCamera {
     }
 
     fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
-        self.exposing.set(exposure)
+        self.exposing.set(&self.info, exposure)
     }
 
     fn grab(&self) -> Result<Frame, ScopeError> {

@@ -123,7 +123,7 @@ impl Camera for StreamCamera {
     }
 
     fn set_exposure(&self, exposure: Duration) -> Result<Duration, ScopeError> {
-        self.exposing.set(exposure)
+        self.exposing.set(&self.info, exposure)
     }
 
     fn grab(&self) -> Result<Frame, ScopeError> {

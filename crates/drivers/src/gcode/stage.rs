@@ -4,7 +4,7 @@ use crate::gcode::codec::{self, Command, Line, Report};
 use crate::gcode::settings::{GcodeSettings, Motor};
 use crate::link::Transport;
 use crate::session::{Exchange, Session, StopBytes, bad_setting, device, lock};
-use crate::turret::{Turns, Turret};
+use crate::turret::{Part, Turns, Turret};
 use scopeservo_scope::{
     Axis, Kinematics, Motion, PositiveZ, ScopeError, Stage, StageInfo, StagePose,
 };
@@ -42,13 +42,6 @@ enum Doing {
     },
     /// Stopped on the way.
     Stopped,
-}
-
-/// What a motor belongs to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Part {
-    Stage,
-    Nosepiece,
 }
 
 /// A stage on a G-code board, or a nosepiece, or both.

@@ -4,7 +4,7 @@ use crate::gcs2::codec::{self, AxisName, CodecError, Command};
 use crate::gcs2::settings::{AxisPlan, Gcs2Nosepiece, Gcs2Settings};
 use crate::link::Transport;
 use crate::session::{Exchange, Session, StopBytes, bad_setting, device, lock};
-use crate::turret::{Turns, Turret};
+use crate::turret::{Part, Turns, Turret};
 use scopeservo_scope::{Axis, AxisInfo, Length, Motion, ScopeError, Stage, StageInfo, StagePose};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -29,13 +29,6 @@ enum Doing {
     Homing(Part),
     /// Stopped on the way.
     Stopped,
-}
-
-/// What an axis belongs to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Part {
-    Stage,
-    Nosepiece,
 }
 
 /// Where an axis goes, in the controller's units, and how near it counts as there.
