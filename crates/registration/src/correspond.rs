@@ -36,6 +36,8 @@ pub struct Prior {
     pub scale: Option<ScalePrior>,
     /// The rotation, if known.
     pub rotation: Option<RotationPrior>,
+    /// The picture moved on the sensor by more than this: what lies nearer to where it was, pixels, is fixed to the camera.
+    pub moved_px: Option<f64>,
 }
 
 impl Prior {
@@ -52,6 +54,12 @@ impl Prior {
             }),
             same_polarity: true,
         }
+    }
+
+    /// Whether a pair may show the specimen, and not what is fixed to the camera.
+    fn has_moved(&self, view: &Keypoint, target: &Keypoint) -> bool {
+        self.moved_px
+            .is_none_or(|least| f64::from(f32::hypot(view.x - target.x, view.y - target.y)) > least)
     }
 
     /// Whether a transform is one that a microscope at this prior can produce: no mirror (SIFT cannot match one), no
@@ -123,7 +131,8 @@ pub fn correspondences(
     prior: &Prior,
     options: &MatchOptions,
 ) -> (Vec<Match>, Vec<Correspondence>) {
-    let matches = match_features_gated(view, target, options, &prior.gate());
+    let mut matches = match_features_gated(view, target, options, &prior.gate());
+    matches.retain(|m| prior.has_moved(&view.keypoints[m.query], &target.keypoints[m.train]));
     let ratio = prior.scale.map(|s| s.ratio);
     let pairs = matches
         .iter()
@@ -173,6 +182,7 @@ mod tests {
                 angle_rad: 3.1,
                 tolerance_rad: 0.1,
             }),
+            ..Prior::default()
         };
         let gate = prior.gate();
         // 3.1 rad and -3.1 rad are neighbours across the wrap.
@@ -245,6 +255,7 @@ mod tests {
                 angle_rad: 0.0,
                 tolerance_rad: 0.0,
             }),
+            ..Prior::default()
         };
         assert_eq!(known.chance_of_coherence(), 1.0);
     }

@@ -7,8 +7,11 @@
 //!    `1 / false_alarms` registrations, the transform is a possible one, and it is determined well enough.
 
 mod correspond;
+pub mod likeness;
 mod register;
+mod rival;
 pub mod significance;
 
 pub use correspond::{Prior, RotationPrior, ScalePrior, correspondences};
 pub use register::{Estimate, Method, NotFound, Options, Registration, register, register_matches};
+pub use rival::{Contest, Rival, contest, find_rival};

@@ -133,6 +133,8 @@ pub struct Registration {
     pub log10_nfa: Option<f64>,
     /// Agreeing places for drawing: x, y in the view, x, y in the target.
     pub pairs: Vec<[f32; 4]>,
+    /// The same as indices: feature of the view, feature of the target.
+    pub agreeing: Vec<[usize; 2]>,
 }
 
 impl Registration {
@@ -148,6 +150,7 @@ impl Registration {
             matches,
             log10_nfa: None,
             pairs: Vec::new(),
+            agreeing: Vec::new(),
         }
     }
 }
@@ -336,6 +339,10 @@ pub fn register_matches(
                     p_in_b[1] as f32,
                 ]
             })
+            .collect(),
+        agreeing: agreeing
+            .iter()
+            .map(|&i| [matches[i].query, matches[i].train])
             .collect(),
     }
 }

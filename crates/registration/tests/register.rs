@@ -128,6 +128,7 @@ fn random_matches_are_found_less_often_than_promised() {
             angle_rad: 0.6,
             tolerance_rad: 0.2,
         }),
+        ..Prior::default()
     };
     for prior in [Prior::default(), known] {
         let found = (0..300)
@@ -168,6 +169,7 @@ fn what_is_not_found_says_why() {
             tolerance: 0.03,
         }),
         rotation: None,
+        ..Prior::default()
     };
     let ruled_out = reason(&view, &target, &wrong, &options);
     assert!(

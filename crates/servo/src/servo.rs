@@ -205,6 +205,7 @@ impl Servo {
                 angle_rad,
                 tolerance_rad: 0.1,
             }),
+            ..Prior::default()
         }
     }
 

@@ -135,6 +135,7 @@ pub(crate) fn same_objective(tolerance_rad: f64) -> Prior {
             angle_rad: 0.0,
             tolerance_rad,
         }),
+        ..Prior::default()
     }
 }
 

@@ -91,6 +91,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     tolerance: 0.04,
                 }),
                 rotation: None,
+                ..Prior::default()
             };
             let registered = [Prior::default(), known]
                 .map(|prior| register(&view.features, target, &prior, &Options::default()));

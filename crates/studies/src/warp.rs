@@ -190,6 +190,7 @@ impl Pair {
                 tolerance: 0.03,
             }),
             rotation: None,
+            ..Prior::default()
         }
     }
 

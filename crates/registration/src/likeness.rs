@@ -1,0 +1,308 @@
+//! How alike two pictures are under a transform, patch by patch: zero-mean normalised correlation, blind to gain and offset of each
+//! patch and so to shading.
+
+use scopeservo_geometry::{Affine2, Vec2};
+use scopeservo_sift::GrayImage;
+
+/// Blur before comparing, in pixels of the coarser picture: sampling between pixels then changes noise little.
+const BLUR_PX: f64 = 1.0;
+/// Half side of the patches that [`compare`] looks at, and their distance, in pixels of the coarser picture.
+const PATCH_RADIUS: usize = 8;
+const PATCH_STEP: usize = 16;
+/// A patch has structure when its variance is this many times that of the noise.
+const STRUCTURED: f64 = 9.0;
+/// A patch is explained by a transform under which it correlates at least so much,
+const EXPLAINED: f64 = 0.75;
+/// and tells two transforms apart when it correlates under the other by this much less.
+const APART: f64 = 0.35;
+
+/// A picture made ready for comparison.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plane {
+    width: usize,
+    height: usize,
+    data: Vec<f32>,
+}
+
+impl Plane {
+    /// `image`, blurred by a Gaussian of `sigma_px`.
+    pub fn new(image: &GrayImage, sigma_px: f64) -> Self {
+        let (width, height) = (image.width(), image.height());
+        let reach = (3.0 * sigma_px).ceil().max(1.0) as usize;
+        let weight = |d: f64| (-0.5 * (d / sigma_px.max(1e-3)).powi(2)).exp();
+        let taps: Vec<f64> = (0..=reach).map(|d| weight(d as f64)).collect();
+        let sum = 2.0 * taps.iter().sum::<f64>() - taps[0];
+        let taps: Vec<f32> = taps.iter().map(|t| (t / sum) as f32).collect();
+        let data = image.data();
+        let mut along = vec![0.0f32; width * height];
+        for (out, row) in along.chunks_exact_mut(width).zip(data.chunks_exact(width)) {
+            blur_line(&taps, width, |x| row[x], |x, v| out[x] = v);
+        }
+        // Down the columns, a row of sums at a time.
+        let mut blurred = vec![0.0f32; width * height];
+        for (y, out) in blurred.chunks_exact_mut(width).enumerate() {
+            let mut add = |row: usize, tap: f32| {
+                let row = &along[row * width..][..width];
+                out.iter_mut().zip(row).for_each(|(o, v)| *o += tap * v);
+            };
+            add(y, taps[0]);
+            for (d, &tap) in taps.iter().enumerate().skip(1) {
+                add(y.saturating_sub(d), tap);
+                add((y + d).min(height - 1), tap);
+            }
+        }
+        Self {
+            width,
+            height,
+            data: blurred,
+        }
+    }
+
+    /// The value between pixels; `None` outside.
+    fn at(&self, p: Vec2) -> Option<f64> {
+        let inside = p[0] >= 0.0 && p[1] >= 0.0;
+        let (x, y) = (p[0] as usize, p[1] as usize);
+        if !inside || x + 1 >= self.width || y + 1 >= self.height {
+            return None;
+        }
+        let (u, v) = (p[0] - x as f64, p[1] - y as f64);
+        let k = y * self.width + x;
+        let [a, b, c, d] =
+            [k, k + 1, k + self.width, k + self.width + 1].map(|k| f64::from(self.data[k]));
+        Some((1.0 - v) * ((1.0 - u) * a + u * b) + v * ((1.0 - u) * c + u * d))
+    }
+}
+
+/// One line, mirrored at nothing: beyond an end its last value goes on.
+fn blur_line(
+    taps: &[f32],
+    length: usize,
+    value: impl Fn(usize) -> f32,
+    mut put: impl FnMut(usize, f32),
+) {
+    for x in 0..length {
+        let mut sum = taps[0] * value(x);
+        for (d, tap) in taps.iter().enumerate().skip(1) {
+            sum += tap * (value(x.saturating_sub(d)) + value((x + d).min(length - 1)));
+        }
+        put(x, sum);
+    }
+}
+
+/// How alike a patch of a is to what lies in b where a transform takes it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Likeness {
+    /// Zero-mean normalised correlation, -1 to 1; 0 for a patch without any structure.
+    pub correlation: f64,
+    /// Variance of the patch in a.
+    pub variance: f64,
+}
+
+impl Likeness {
+    /// The part of the variance that the other picture does not explain.
+    fn residual(&self) -> f64 {
+        self.variance * (1.0 - self.correlation.max(0.0).powi(2))
+    }
+}
+
+/// Compares the square of half side `radius` around a pixel of `a` with `b`. `None` when it is not whole in both.
+pub fn likeness(
+    a: &Plane,
+    b: &Plane,
+    b_from_a: &Affine2,
+    centre: [usize; 2],
+    radius: usize,
+) -> Option<Likeness> {
+    let [x, y] = centre;
+    if x < radius || y < radius || x + radius >= a.width || y + radius >= a.height {
+        return None;
+    }
+    let mut sums = [0.0f64; 5];
+    for row in y - radius..=y + radius {
+        for column in x - radius..=x + radius {
+            let va = f64::from(a.data[row * a.width + column]);
+            let vb = b.at(b_from_a.apply([column as f64, row as f64]))?;
+            for (sum, v) in sums.iter_mut().zip([va, vb, va * va, vb * vb, va * vb]) {
+                *sum += v;
+            }
+        }
+    }
+    let n = ((2 * radius + 1) * (2 * radius + 1)) as f64;
+    let [ma, mb, aa, bb, ab] = sums.map(|s| s / n);
+    let (variance_a, variance_b) = ((aa - ma * ma).max(0.0), (bb - mb * mb).max(0.0));
+    let product = (variance_a * variance_b).sqrt();
+    let correlation = match product > 1e-15 {
+        true => (ab - ma * mb) / product,
+        false => 0.0,
+    };
+    Some(Likeness {
+        correlation,
+        variance: variance_a,
+    })
+}
+
+/// What the patches of two pictures say of two transforms between them. Only patches that both transforms take into both pictures
+/// count.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Comparison {
+    /// Patches with structure.
+    pub structured: usize,
+    /// Of these, those which the first transform explains and the second does not.
+    pub first_only: usize,
+    /// Those which the second explains and the first does not.
+    pub second_only: usize,
+    /// Those which both explain.
+    pub both: usize,
+}
+
+/// View and target as planes on the grid of the coarser one.
+pub struct Pair {
+    coarse: Plane,
+    fine: Plane,
+    /// Whether the view is the coarser one.
+    view_is_coarse: bool,
+}
+
+impl Pair {
+    /// For transforms of about this `scale`, target pixels per view pixel.
+    pub fn new(view: &GrayImage, target: &GrayImage, scale: f64) -> Self {
+        let view_is_coarse = scale >= 1.0;
+        let (coarse, fine, ratio) = match view_is_coarse {
+            true => (view, target, scale),
+            false => (target, view, 1.0 / scale),
+        };
+        Self {
+            coarse: Plane::new(coarse, BLUR_PX),
+            fine: Plane::new(fine, BLUR_PX * ratio),
+            view_is_coarse,
+        }
+    }
+
+    fn fine_from_coarse(&self, target_from_view: &Affine2) -> Option<Affine2> {
+        match self.view_is_coarse {
+            true => Some(*target_from_view),
+            false => target_from_view.inverse(),
+        }
+    }
+
+    fn patches(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
+        let along =
+            |side: usize| (PATCH_RADIUS..side.saturating_sub(PATCH_RADIUS)).step_by(PATCH_STEP);
+        along(self.coarse.height).flat_map(move |y| along(self.coarse.width).map(move |x| [x, y]))
+    }
+
+    /// Each patch's place in the view with its likeness.
+    fn look(&self, target_from_view: &Affine2) -> Option<Vec<(Vec2, Option<Likeness>)>> {
+        let fine_from_coarse = self.fine_from_coarse(target_from_view)?;
+        let seen = self.patches().map(|centre| {
+            let seen = likeness(
+                &self.coarse,
+                &self.fine,
+                &fine_from_coarse,
+                centre,
+                PATCH_RADIUS,
+            );
+            let p = centre.map(|v| v as f64);
+            let in_view = match self.view_is_coarse {
+                true => p,
+                false => fine_from_coarse.apply(p),
+            };
+            (in_view, seen)
+        });
+        Some(seen.collect())
+    }
+
+    /// Compares two transforms on the patches whose place in the view `counts`.
+    pub fn compare(
+        &self,
+        first: &Affine2,
+        second: &Affine2,
+        counts: impl Fn(Vec2) -> bool,
+    ) -> Option<Comparison> {
+        let (one, two) = (self.look(first)?, self.look(second)?);
+        let noise = noise(one.iter().filter_map(|(_, seen)| *seen))?;
+        let mut found = Comparison::default();
+        for ((place, one), (_, two)) in one.iter().zip(&two) {
+            let (Some(one), Some(two)) = (one, two) else {
+                continue;
+            };
+            if one.variance < STRUCTURED * noise || !counts(*place) {
+                continue;
+            }
+            found.structured += 1;
+            let (a, b) = (one.correlation, two.correlation);
+            found.first_only += usize::from(a >= EXPLAINED && b <= a - APART);
+            found.second_only += usize::from(b >= EXPLAINED && a <= b - APART);
+            found.both += usize::from(a >= EXPLAINED && b >= EXPLAINED);
+        }
+        Some(found)
+    }
+
+    /// The transform near `rough`, shifted by up to a pixel and a half of the coarser picture, under which the patches correlate
+    /// most.
+    pub fn refined(&self, rough: &Affine2) -> Affine2 {
+        const STEPS: [f64; 7] = [0.0, -0.5, 0.5, -1.0, 1.0, -1.5, 1.5];
+        // A hundred patches are enough.
+        let every = (self.patches().count() / 100).max(1);
+        let coarse_px = rough.linear.det().abs().sqrt().max(1.0);
+        let shifted = |dx: f64, dy: f64| Affine2 {
+            offset: [
+                rough.offset[0] + dx * coarse_px,
+                rough.offset[1] + dy * coarse_px,
+            ],
+            ..*rough
+        };
+        let score = |transform: &Affine2| {
+            let Some(fine_from_coarse) = self.fine_from_coarse(transform) else {
+                return f64::NEG_INFINITY;
+            };
+            let seen = self.patches().step_by(every).filter_map(|centre| {
+                likeness(
+                    &self.coarse,
+                    &self.fine,
+                    &fine_from_coarse,
+                    centre,
+                    PATCH_RADIUS,
+                )
+            });
+            // Patches without structure add only noise.
+            seen.map(|l| l.correlation * l.variance.sqrt()).sum::<f64>()
+        };
+        let all = STEPS
+            .iter()
+            .flat_map(|&dy| STEPS.iter().map(move |&dx| shifted(dx, dy)));
+        let mut best = (f64::NEG_INFINITY, *rough);
+        for transform in all {
+            let s = score(&transform);
+            if s > best.0 {
+                best = (s, transform);
+            }
+        }
+        best.1
+    }
+
+    /// The share of all patches, with structure or without, that are alike under a transform.
+    pub fn share_alike(&self, target_from_view: &Affine2) -> f64 {
+        let seen = self.look(target_from_view).unwrap_or_default();
+        let (mut alike, mut all) = (0usize, 0usize);
+        for (_, seen) in seen {
+            let Some(seen) = seen else { continue };
+            all += 1;
+            alike += usize::from(seen.correlation >= ALIKE);
+        }
+        alike as f64 / all.max(1) as f64
+    }
+}
+
+/// A patch of noise correlates so much with another in one case of a hundred.
+const ALIKE: f64 = 0.5;
+
+/// Variance of the noise: what is left in the quietest quarter of the patches.
+fn noise(seen: impl Iterator<Item = Likeness>) -> Option<f64> {
+    let mut residuals: Vec<f64> = seen.map(|l| l.residual()).collect();
+    if residuals.is_empty() {
+        return None;
+    }
+    let at = residuals.len() / 4;
+    Some(*residuals.select_nth_unstable_by(at, f64::total_cmp).1)
+}

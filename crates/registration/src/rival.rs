@@ -1,0 +1,391 @@
+//! Is there another transform that says as much? Specimens that repeat themselves (wafers, grids, films, two equal cells) agree with
+//! more than one, and which of them the search found is chance.
+//!
+//! [`find_rival`] looks for the second-best transform. What the ratio test threw away is what it needs: features of the target that
+//! look like a matched one and lie elsewhere. [`contest`] then lets the places speak that only one of the two explains: a defect, a
+//! die's number, an odd cell in a grid.
+
+use crate::correspond::wrap;
+use crate::likeness::Pair;
+use crate::significance::{log10_nfa, unique_places};
+use crate::{Estimate, Options, Prior, Registration};
+use scopeservo_geometry::{
+    Affine2, Correspondence, OrientedProblem, RansacOptions, Vec2, fit_similarity_robust, lo_ransac,
+};
+use scopeservo_sift::{Features, Keypoint};
+use serde::{Deserialize, Serialize};
+
+/// Agreeing places of the view that are asked for others like theirs.
+const ASKED: usize = 300;
+/// Others that each of them names: the nearest, so that of a lattice's many periods the shortest is seen.
+const NAMED: usize = 8;
+/// A descriptor is alike when its distance is at most this many times what the matched ones have.
+const ALIKE: f32 = 1.5;
+/// Pixels, of the coarser picture, that a place must lie from the matched one to be another.
+const ELSEWHERE_PX: f64 = 6.0;
+/// A rival explains at least this share of the places that lie in the target under it...
+const RIVAL_SHARE: f64 = 0.3;
+/// ...and at least this share of those asked lie in it.
+const RIVAL_OVERLAP: f64 = 0.2;
+/// A pair of keypoints may scale by so much less or more than the whole picture.
+const SCALE_SLACK: f64 = 1.6;
+/// How far the shift of a rival is from a multiple of a pixel's place on the sensor to be taken for fixed to it, px and rad.
+const FIXED: [f64; 2] = [3.0, 0.01];
+
+/// Another transform that explains the view.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Rival {
+    /// Pixel of the target from pixel of the view.
+    pub target_from_view: Affine2,
+    /// How far the view's centre lands from where the first transform takes it, target pixels.
+    pub shift_px: Vec2,
+    /// How far it is turned against the first one, radians.
+    pub turn_rad: f64,
+    /// Places asked that it explains.
+    pub places: usize,
+    /// Places asked.
+    pub asked: usize,
+}
+
+/// A place of the view and one of the target that look alike.
+struct Named {
+    asked: usize,
+    pair: Correspondence,
+    shape: [f64; 4],
+}
+
+/// The second-best transform, when it is one that chance does not make. `fixed`: what stays where it is on the sensor is no rival, since
+/// it is known not to be the specimen.
+pub fn find_rival(
+    view: &Features,
+    target: &Features,
+    answer: &Registration,
+    prior: &Prior,
+    options: &Options,
+    without_identity: bool,
+) -> Option<Rival> {
+    let first = answer.found()?;
+    let scale = first.target_from_view.linear.det().abs().sqrt();
+    let coarse_px = scale.max(1.0);
+    let threshold = options.threshold_px * coarse_px;
+    let asked = asked(view, target, answer, threshold);
+    let limits = alike_limits(view, target, &asked);
+    let mut named = Vec::new();
+    for (k, (&[query, _], &limit)) in asked.iter().zip(&limits).enumerate() {
+        name_others(
+            view,
+            target,
+            first,
+            (k, query, limit),
+            ELSEWHERE_PX * coarse_px,
+            &mut named,
+        );
+    }
+    let allowed = |t: &Affine2| {
+        prior.allows(t)
+            && differs(view, first, t, threshold)
+            && !(without_identity && stays(view, t))
+    };
+    let mut candidates = shifts(first, &named, threshold);
+    candidates.extend(turned(&named, &allowed, options.seed, threshold));
+    let rated = candidates
+        .into_iter()
+        .filter_map(|t| rate(view, target, first, &asked, &named, t, threshold))
+        .filter(|r| allowed(&r.target_from_view));
+    // Of equals the first one.
+    let mut best: Option<Rival> = None;
+    for rival in rated {
+        if best.is_none_or(|b| rival.places > b.places) {
+            best = Some(rival);
+        }
+    }
+    best.filter(|r| r.places >= least_places(r, target, threshold, options))
+}
+
+/// Agreeing pairs spread over the picture: places that lie together would vote together.
+fn asked(
+    view: &Features,
+    target: &Features,
+    answer: &Registration,
+    threshold: f64,
+) -> Vec<[usize; 2]> {
+    let point = |k: &Keypoint| [f64::from(k.x), f64::from(k.y)];
+    let points: Vec<(Vec2, Vec2)> = answer
+        .agreeing
+        .iter()
+        .map(|&[q, t]| (point(&view.keypoints[q]), point(&target.keypoints[t])))
+        .collect();
+    let apart: Vec<[usize; 2]> = unique_places(&points, 4.0, threshold)
+        .into_iter()
+        .map(|k| answer.agreeing[k])
+        .collect();
+    let every = apart.len().div_ceil(ASKED).max(1);
+    apart.into_iter().step_by(every).collect()
+}
+
+fn distance_sq(view: &Features, query: usize, target: &Features, train: usize) -> f32 {
+    let (a, b) = (
+        view.descriptors[query].components(),
+        target.descriptors[train].components(),
+    );
+    let sum: u32 = a
+        .iter()
+        .zip(b)
+        .map(|(&a, &b)| {
+            let d = i32::from(a) - i32::from(b);
+            (d * d) as u32
+        })
+        .sum();
+    sum as f32
+}
+
+/// Up to which squared distance a descriptor looks like each of those asked.
+fn alike_limits(view: &Features, target: &Features, asked: &[[usize; 2]]) -> Vec<f32> {
+    let own: Vec<f32> = asked
+        .iter()
+        .map(|&[q, t]| distance_sq(view, q, target, t))
+        .collect();
+    let mut sorted = own.clone();
+    sorted.sort_by(f32::total_cmp);
+    let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    own.iter().map(|d| ALIKE * ALIKE * d.max(usual)).collect()
+}
+
+fn name_others(
+    view: &Features,
+    target: &Features,
+    first: &Estimate,
+    (asked, query, limit): (usize, usize, f32),
+    elsewhere: f64,
+    named: &mut Vec<Named>,
+) {
+    let v = &view.keypoints[query];
+    let p = [f64::from(v.x), f64::from(v.y)];
+    let here = first.target_from_view.apply(p);
+    let scale = first.target_from_view.linear.det().abs().sqrt() * f64::from(v.sigma);
+    let sizes = (scale / SCALE_SLACK) as f32..(scale * SCALE_SLACK) as f32;
+    let mut others: Vec<(f64, usize)> = Vec::new();
+    for (train, t) in target.keypoints.iter().enumerate() {
+        if t.bright != v.bright || !sizes.contains(&t.sigma) {
+            continue;
+        }
+        let d = [f64::from(t.x) - here[0], f64::from(t.y) - here[1]];
+        let away_sq = d[0] * d[0] + d[1] * d[1];
+        if away_sq > elsewhere * elsewhere && distance_sq(view, query, target, train) <= limit {
+            others.push((away_sq, train));
+        }
+    }
+    others.sort_by(|a, b| a.0.total_cmp(&b.0));
+    named.extend(others.iter().take(NAMED).map(|&(_, train)| {
+        let t = &target.keypoints[train];
+        Named {
+            asked,
+            pair: Correspondence {
+                p_in_a: p,
+                p_in_b: [f64::from(t.x), f64::from(t.y)],
+                sigma: 1.0,
+            },
+            shape: [v.sigma, t.sigma, v.angle, t.angle].map(f64::from),
+        }
+    }));
+}
+
+/// The first transform, shifted as most of the others named are: their commonest shifts.
+fn shifts(first: &Estimate, named: &[Named], threshold: f64) -> Vec<Affine2> {
+    let shift = |n: &Named| {
+        let here = first.target_from_view.apply(n.pair.p_in_a);
+        [n.pair.p_in_b[0] - here[0], n.pair.p_in_b[1] - here[1]]
+    };
+    let all: Vec<Vec2> = named.iter().map(shift).collect();
+    let mut cells = std::collections::BTreeMap::<[i64; 2], usize>::new();
+    let cell = |s: &Vec2| s.map(|v| (v / threshold).floor() as i64);
+    for s in &all {
+        *cells.entry(cell(s)).or_default() += 1;
+    }
+    // Counted with their neighbours: a shift on the edge of two cells is one shift.
+    let around = |c: &[i64; 2]| -> usize {
+        let near = (-1..=1).flat_map(|i| (-1..=1).map(move |j| [c[0] + i, c[1] + j]));
+        near.filter_map(|c| cells.get(&c)).sum()
+    };
+    let mut counted: Vec<(usize, [i64; 2])> = cells.keys().map(|c| (around(c), *c)).collect();
+    counted.sort_by_key(|&(count, cell)| (std::cmp::Reverse(count), cell));
+    counted
+        .iter()
+        .take(6)
+        .map(|(_, c)| {
+            let mut at = c.map(|v| (v as f64 + 0.5) * threshold);
+            for radius in [2.0, 1.0, 1.0] {
+                let near: Vec<&Vec2> = all
+                    .iter()
+                    .filter(|s| f64::hypot(s[0] - at[0], s[1] - at[1]) <= radius * threshold)
+                    .collect();
+                if near.is_empty() {
+                    break;
+                }
+                let n = near.len() as f64;
+                at = [0, 1].map(|k| near.iter().map(|s| s[k]).sum::<f64>() / n);
+            }
+            let t = first.target_from_view;
+            Affine2 {
+                offset: [t.offset[0] + at[0], t.offset[1] + at[1]],
+                ..t
+            }
+        })
+        .collect()
+}
+
+/// A transform of any angle that the others named agree on.
+fn turned(
+    named: &[Named],
+    allowed: &dyn Fn(&Affine2) -> bool,
+    seed: u64,
+    threshold: f64,
+) -> Option<Affine2> {
+    let pairs: Vec<Correspondence> = named.iter().map(|n| n.pair).collect();
+    let shapes: Vec<[f64; 4]> = named.iter().map(|n| n.shape).collect();
+    let options = RansacOptions {
+        threshold,
+        seed,
+        max_samples: 600,
+        ..RansacOptions::default()
+    };
+    let fit = lo_ransac(&OrientedProblem::new(&pairs, &shapes, &allowed), &options)?;
+    Some(fit.model)
+}
+
+/// How many of the places asked a transform explains, fitted to them.
+fn rate(
+    view: &Features,
+    target: &Features,
+    first: &Estimate,
+    asked: &[[usize; 2]],
+    named: &[Named],
+    rough: Affine2,
+    threshold: f64,
+) -> Option<Rival> {
+    let agrees = |t: &Affine2, n: &Named| {
+        let q = t.apply(n.pair.p_in_a);
+        f64::hypot(q[0] - n.pair.p_in_b[0], q[1] - n.pair.p_in_b[1]) <= threshold
+    };
+    let near: Vec<Correspondence> = named
+        .iter()
+        .filter(|n| agrees(&rough, n))
+        .map(|n| n.pair)
+        .collect();
+    let fitted = fit_similarity_robust(&near, 0.005).map(|fit| fit.b_from_a);
+    let count = |t: &Affine2| {
+        let mut explained: Vec<usize> = named
+            .iter()
+            .filter(|n| agrees(t, n))
+            .map(|n| n.asked)
+            .collect();
+        explained.dedup();
+        explained.len()
+    };
+    // Few places bend a fit: then the shape of the first transform is the better one.
+    let (places, transform) = [Some(rough), fitted]
+        .into_iter()
+        .flatten()
+        .map(|t| (count(&t), t))
+        .reduce(|a, b| if b.0 > a.0 { b } else { a })?;
+    let inside = asked
+        .iter()
+        .filter(|[q, _]| {
+            let k = &view.keypoints[*q];
+            let p = transform.apply([f64::from(k.x), f64::from(k.y)]);
+            (0.0..target.width as f64).contains(&p[0])
+                && (0.0..target.height as f64).contains(&p[1])
+        })
+        .count();
+    if (inside as f64) < RIVAL_OVERLAP * asked.len() as f64 {
+        return None;
+    }
+    let centre = centre(view);
+    let (a, b) = (
+        first.target_from_view.apply(centre),
+        transform.apply(centre),
+    );
+    let turn =
+        transform.linear.rotation_angle()? - first.target_from_view.linear.rotation_angle()?;
+    Some(Rival {
+        target_from_view: transform,
+        shift_px: [b[0] - a[0], b[1] - a[1]],
+        turn_rad: wrap(turn),
+        places,
+        asked: inside,
+    })
+}
+
+/// Explaining fewer places than this proves nothing: chance makes a shift that so many agree on.
+fn least_places(rival: &Rival, target: &Features, threshold: f64, options: &Options) -> usize {
+    let area = (target.width * target.height) as f64;
+    let chance = NAMED as f64 * std::f64::consts::PI * threshold * threshold / area;
+    let limit = options.false_alarms.log10();
+    let by_chance = (2..=rival.asked)
+        .find(|&k| log10_nfa(1, rival.asked, k, chance) < limit)
+        .unwrap_or(usize::MAX);
+    by_chance.max((RIVAL_SHARE * rival.asked as f64).ceil() as usize)
+}
+
+fn centre(view: &Features) -> Vec2 {
+    [view.width, view.height].map(|s| (s as f64 - 1.0) / 2.0)
+}
+
+/// Whether two transforms take some corner of the view to different places.
+fn differs(view: &Features, first: &Estimate, other: &Affine2, threshold: f64) -> bool {
+    corners(view).into_iter().any(|p| {
+        let (a, b) = (first.target_from_view.apply(p), other.apply(p));
+        f64::hypot(a[0] - b[0], a[1] - b[1]) > 2.0 * threshold
+    })
+}
+
+/// Whether a transform leaves everything where it is on the sensor.
+fn stays(view: &Features, transform: &Affine2) -> bool {
+    let c = centre(view);
+    let q = transform.apply(c);
+    let turn = transform.linear.rotation_angle().unwrap_or(f64::NAN);
+    f64::hypot(q[0] - c[0], q[1] - c[1]) < FIXED[0] && turn.abs() < FIXED[1]
+}
+
+fn corners(view: &Features) -> [Vec2; 4] {
+    let (w, h) = (view.width as f64 - 1.0, view.height as f64 - 1.0);
+    [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]]
+}
+
+/// What two transforms' places say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Contest {
+    /// Places that only the first explains decide for it.
+    First,
+    /// Places that only the second explains decide for that one.
+    Second,
+    /// Nothing tells them apart.
+    Open,
+}
+
+/// Fewer patches than this decide nothing.
+const DECIDING: usize = 3;
+/// For each patch that speaks against, so many must speak for.
+const OUTVOTED: usize = 4;
+
+/// Lets the pixels decide between the transform that was found and its rival. Patches count whose place in the view `counts`.
+pub fn contest(
+    pictures: &Pair,
+    first: &Affine2,
+    rival: &Rival,
+    counts: impl Fn(Vec2) -> bool,
+) -> Contest {
+    let second = pictures.refined(&rival.target_from_view);
+    let Some(seen) = pictures.compare(first, &second, counts) else {
+        return Contest::Open;
+    };
+    let decides = |yes: usize, no: usize| yes >= DECIDING && yes >= OUTVOTED * no;
+    if decides(seen.first_only, seen.second_only) {
+        Contest::First
+    } else if decides(seen.second_only, seen.first_only) {
+        Contest::Second
+    } else {
+        Contest::Open
+    }
+}
