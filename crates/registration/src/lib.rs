@@ -8,10 +8,12 @@
 
 mod correspond;
 pub mod likeness;
+mod pictures;
 mod register;
 mod rival;
 pub mod significance;
 
 pub use correspond::{Prior, RotationPrior, ScalePrior, correspondences};
 pub use register::{Estimate, Method, NotFound, Options, Registration, register, register_matches};
+pub use pictures::{Allow, PictureVerdict, register_pictures};
 pub use rival::{Contest, Rival, contest, find_rival};

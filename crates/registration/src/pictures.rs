@@ -1,0 +1,199 @@
+//! Two pictures and nothing else: no stage that could move, so what is fixed to the camera and what repeats itself must be told from the
+//! pictures alone.
+
+use crate::likeness::Pair;
+use crate::{Contest, Estimate, NotFound, Options, Prior, Registration, Rival, contest, find_rival, register};
+use scopeservo_geometry::{Affine2, Mat2, Vec2};
+use scopeservo_sift::{Features, GrayImage, Sift, SiftError};
+
+/// What the asker vouches for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Allow {
+    /// Both show the same place: what stays where it is on the sensor may be the specimen.
+    pub same_place: bool,
+    /// The view may be a mirror image.
+    pub mirror: bool,
+}
+
+/// What two pictures say.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PictureVerdict {
+    /// One transform, and no other says as much. `mirrored`: it is a mirror image, as was allowed.
+    Found {
+        /// The transform.
+        estimate: Estimate,
+        /// Whether the view is a mirror image.
+        mirrored: bool,
+    },
+    /// Both pictures agree where they are, and most of them does not: that is what dust on the sensor, a reticle or burnt-in text do.
+    Suspect {
+        /// The transform, near the identity.
+        estimate: Estimate,
+        /// Share of the picture that agrees.
+        share: f64,
+    },
+    /// Two transforms say as much.
+    Ambiguous {
+        /// The one.
+        estimate: Estimate,
+        /// The other.
+        rival: Rival,
+    },
+    /// It is there as a mirror image, which nobody allowed.
+    Mirrored {
+        /// Target from view, a reflection.
+        estimate: Estimate,
+    },
+    /// Nothing was found.
+    NotFound(NotFound),
+}
+
+/// How near to the identity a transform leaves everything where it is on the sensor, px and degrees.
+const STAYS_PX: f64 = 0.5;
+const STAYS_DEG: f64 = 0.02;
+/// Of two pictures of one place at least so much is alike.
+const MOST: f64 = 0.5;
+/// A rival that explains this share of the structured patches leaves the rest to say which is right.
+const REPEATS: f64 = 0.5;
+
+/// Features of both pictures, their registration and the verdict. `target` is described once and may be asked about many views.
+///
+/// # Errors
+/// Those of the detector.
+pub fn register_pictures(
+    sift: &mut Sift,
+    (view, view_features): (&GrayImage, &Features),
+    (target, target_features): (&GrayImage, &Features),
+    prior: &Prior,
+    options: &Options,
+    allow: Allow,
+) -> Result<(Registration, PictureVerdict), SiftError> {
+    let answer = register(view_features, target_features, prior, options);
+    match answer.outcome.clone() {
+        Ok(estimate) => {
+            let verdict = judge(
+                (view, view_features),
+                (target, target_features),
+                (&answer, estimate),
+                prior,
+                options,
+                allow,
+            );
+            Ok((answer, verdict))
+        }
+        Err(reason) => {
+            let mirror = flipped(view)?;
+            let features = sift.detect_and_describe(&mirror);
+            let found = register(&features, target_features, prior, options);
+            let Ok(estimate) = found.outcome.clone() else {
+                return Ok((answer, PictureVerdict::NotFound(reason)));
+            };
+            if !allow.mirror {
+                let estimate = unflipped(&estimate, view.width());
+                return Ok((found, PictureVerdict::Mirrored { estimate }));
+            }
+            let verdict = judge(
+                (&mirror, &features),
+                (target, target_features),
+                (&found, estimate),
+                prior,
+                options,
+                allow,
+            );
+            Ok((found, verdict.mirrored(view.width())))
+        }
+    }
+}
+
+fn judge(
+    (view, view_features): (&GrayImage, &Features),
+    (target, target_features): (&GrayImage, &Features),
+    (answer, estimate): (&Registration, Estimate),
+    prior: &Prior,
+    options: &Options,
+    allow: Allow,
+) -> PictureVerdict {
+    let transform = estimate.target_from_view;
+    let stays = stays(&transform, view) && !allow.same_place;
+    // Not one bit changed, noise included: that is one picture.
+    let equal = view == target;
+    let pair = Pair::new(view, target, transform.linear.det().abs().sqrt());
+    if stays && !equal {
+        let share = pair.share_alike(&transform);
+        if share < MOST {
+            return PictureVerdict::Suspect { estimate, share };
+        }
+    }
+    if let Some(rival) = find_rival(view_features, target_features, answer, prior, options, false) {
+        let decided = contest(&pair, &transform, &rival, |_| true);
+        // What decides may itself be fixed to the camera.
+        let undecidable = stays && !equal && repeats(&pair, &transform, &rival);
+        if decided != Contest::First || undecidable {
+            return PictureVerdict::Ambiguous { estimate, rival };
+        }
+    }
+    PictureVerdict::Found {
+        estimate,
+        mirrored: false,
+    }
+}
+
+/// Whether most of what one transform explains the other explains as well.
+fn repeats(pair: &Pair, first: &Affine2, rival: &Rival) -> bool {
+    let second = pair.refined(&rival.target_from_view);
+    pair.compare(first, &second, |_| true)
+        .is_some_and(|seen| seen.both as f64 >= REPEATS * seen.structured as f64)
+}
+
+fn stays(transform: &Affine2, view: &GrayImage) -> bool {
+    let c: Vec2 = [view.width(), view.height()].map(|s| (s as f64 - 1.0) / 2.0);
+    let q = transform.apply(c);
+    let turn = transform.linear.rotation_angle().unwrap_or(f64::NAN);
+    f64::hypot(q[0] - c[0], q[1] - c[1]) <= STAYS_PX && turn.to_degrees().abs() <= STAYS_DEG
+}
+
+/// Columns in the other order.
+fn flipped(image: &GrayImage) -> Result<GrayImage, SiftError> {
+    let rows = image.data().chunks_exact(image.width());
+    let data = rows.flat_map(|row| row.iter().rev().copied()).collect();
+    GrayImage::new(image.width(), image.height(), data)
+}
+
+/// Target from the picture as it came, from target from its mirror image.
+fn unflip(target_from_mirror: &Affine2, width: usize) -> Affine2 {
+    target_from_mirror.after(&Affine2 {
+        linear: Mat2::diagonal(-1.0, 1.0),
+        offset: [width as f64 - 1.0, 0.0],
+    })
+}
+
+fn unflipped(estimate: &Estimate, width: usize) -> Estimate {
+    Estimate {
+        target_from_view: unflip(&estimate.target_from_view, width),
+        ..estimate.clone()
+    }
+}
+
+impl PictureVerdict {
+    /// The verdict about a mirror image, told of the picture as it came.
+    fn mirrored(self, width: usize) -> Self {
+        match self {
+            Self::Found { estimate, .. } => Self::Found {
+                estimate: unflipped(&estimate, width),
+                mirrored: true,
+            },
+            Self::Suspect { estimate, share } => Self::Suspect {
+                estimate: unflipped(&estimate, width),
+                share,
+            },
+            Self::Ambiguous { estimate, rival } => Self::Ambiguous {
+                estimate: unflipped(&estimate, width),
+                rival: Rival {
+                    target_from_view: unflip(&rival.target_from_view, width),
+                    ..rival
+                },
+            },
+            other => other,
+        }
+    }
+}
