@@ -1,7 +1,7 @@
 //! The JSON that `--json` prints. Keys are stable: they are added to, never renamed.
 
 use scopeservo_geometry::Affine2;
-use scopeservo_servo::{Calibration, Outcome, Reason, ServoEnd, Verdict};
+use scopeservo_servo::{Calibration, Outcome, Reason, Verdict};
 use serde::Serialize;
 
 /// Version of the keys below.
@@ -13,6 +13,7 @@ pub(crate) fn word(verdict: Verdict) -> &'static str {
         Verdict::Arrived => "arrived",
         Verdict::NotFound => "not found",
         Verdict::Refused => "refused",
+        Verdict::Ambiguous => "ambiguous",
     }
 }
 
@@ -76,12 +77,7 @@ pub(crate) fn magnifications(outcome: &Outcome) -> Vec<MagnificationJson> {
         .magnifications
         .iter()
         .map(|m| {
-            let (end, result) = match &m.end {
-                ServoEnd::Converged(r) => ("converged", Some(r)),
-                ServoEnd::IterationLimit(r) => ("iteration_limit", Some(r)),
-                ServoEnd::Diverged(r) => ("diverged", Some(r)),
-                ServoEnd::Lost(_) => ("lost", None),
-            };
+            let (end, result) = (m.end.word(), m.end.result());
             MagnificationJson {
                 objective: m.objective.0.clone(),
                 magnification: m.magnification,

@@ -163,29 +163,55 @@ const ANISOTROPY: f64 = 0.005;
 /// Places closer than this, in pixels of each image times its keypoints' finest scale, are one place.
 const PLACE_PX: f64 = 2.0;
 
-/// Registers a view to a target.
-///
-/// Cost: one gated brute-force match, then [`register_matches`].
+/// A registration with the matches that it was made from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Matched {
+    /// The answer.
+    pub registration: Registration,
+    /// Matches after ratio and mutual test.
+    pub matches: Vec<Match>,
+    /// Their places, in the same order.
+    pub pairs: Vec<Correspondence>,
+}
+
+impl Matched {
+    /// Matches and registers a view to a target.
+    ///
+    /// Cost: one gated brute-force match, then [`register_matches`].
+    pub fn of(view: &Features, target: &Features, prior: &Prior, options: &Options) -> Self {
+        if view.len() < MIN_MATCHES || target.len() < MIN_MATCHES {
+            let reason = NotFound::TooFewFeatures {
+                view: view.len(),
+                target: target.len(),
+                needed: MIN_MATCHES,
+            };
+            return Self {
+                registration: Registration::not_found(reason, 0),
+                matches: Vec::new(),
+                pairs: Vec::new(),
+            };
+        }
+        let match_options = MatchOptions {
+            ratio: options.ratio,
+            mutual: true,
+        };
+        let (matches, pairs) = correspondences(view, target, prior, &match_options);
+        Self {
+            registration: register_matches(view, target, prior, options, &matches, &pairs),
+            matches,
+            pairs,
+        }
+    }
+}
+
+/// Registers a view to a target; as [`Matched::of`].
 pub fn register(
     view: &Features,
     target: &Features,
     prior: &Prior,
     options: &Options,
 ) -> Registration {
-    if view.len() < MIN_MATCHES || target.len() < MIN_MATCHES {
-        let reason = NotFound::TooFewFeatures {
-            view: view.len(),
-            target: target.len(),
-            needed: MIN_MATCHES,
-        };
-        return Registration::not_found(reason, 0);
-    }
-    let match_options = MatchOptions {
-        ratio: options.ratio,
-        mutual: true,
-    };
-    let (matches, pairs) = correspondences(view, target, prior, &match_options);
-    register_matches(view, target, prior, options, &matches, &pairs)
+    Matched::of(view, target, prior, options).registration
 }
 
 /// What follows the matching: search, robust fit and verdict, from the [`correspondences`] of view and target.

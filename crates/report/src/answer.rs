@@ -5,7 +5,7 @@ use crate::picture::aim;
 use crate::story::outline;
 use crate::svg::{Attr, Canvas, Key, Mark, Panel, Scale, nice_step};
 use crate::text::{deg, escape, fixed, seconds, short, um};
-use scopeservo_servo::{ServoEnd, Verdict};
+use scopeservo_servo::Verdict;
 use std::fmt::Write as _;
 
 pub(crate) fn section(r: &Report<'_>, title: &str) -> String {
@@ -17,6 +17,8 @@ pub(crate) fn section(r: &Report<'_>, title: &str) -> String {
             "M14 15a6 6 0 1 1 8.5 5.5c-2 1-2.5 2-2.5 4.500M20 30.500v.2",
         ),
         Some(Verdict::Refused) => ("refused", "M12 12l16 16M28 12l-16 16"),
+        // Two that look the same.
+        Some(Verdict::Ambiguous) => ("refused", "M9 20a5 5 0 1 0 10 0a5 5 0 1 0-10 0M21 20a5 5 0 1 0 10 0a5 5 0 1 0-10 0"),
         None => ("unfinished", "M12 20h.2M20 20h.2M28 20h.2"),
     };
     let message = outcome.map_or_else(
@@ -129,10 +131,7 @@ fn numbers(r: &Report<'_>) -> String {
 fn known(r: &Report<'_>) -> String {
     let mut out = String::new();
     let last = r.story.outcome.and_then(|o| o.magnifications.last());
-    let result = last.and_then(|m| match &m.end {
-        ServoEnd::Converged(e) | ServoEnd::IterationLimit(e) | ServoEnd::Diverged(e) => Some(e),
-        ServoEnd::Lost(_) => None,
-    });
+    let result = last.and_then(|m| m.end.result());
     if let (Some(m), Some(e)) = (last, result) {
         let frames = r.story.magnifications.last().map_or(0, |m| {
             m.iterations

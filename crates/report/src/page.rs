@@ -97,6 +97,7 @@ pub(crate) fn verdict_word(story: &Story<'_>) -> &'static str {
         Some(Verdict::Arrived) => "Arrived",
         Some(Verdict::NotFound) => "Not found",
         Some(Verdict::Refused) => "Refused",
+        Some(Verdict::Ambiguous) => "Ambiguous",
         None => "Unfinished",
     }
 }

@@ -5,7 +5,7 @@ use crate::event::tell;
 use crate::hand_eye::{Observation, covariance, explained_px, solve_hand_eye};
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress};
-use crate::vision::{centre_px, features, grab, same_objective};
+use crate::vision::{centre_px, features, grab, gray, same_objective};
 use crate::{CALIBRATION_SCHEMA, Calibration, Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
 use scopeservo_registration::{NotFound, register};
@@ -119,7 +119,7 @@ impl Calibrate {
         let present = scope.gate().position()?;
         let at = scope.move_to(&pose.request(&present))?;
         let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
-        let view = features(&frame, &self.vision.view)?;
+        let view = features(&gray(&frame)?, &self.vision.view)?;
         let reference = self.reference.as_ref().ok_or_else(no_reference)?;
         let prior = same_objective(1.5 * self.options.max_rotation_rad);
         let registration = register(&view, reference, &prior, &self.vision.registration);
@@ -334,7 +334,7 @@ impl Procedure for Calibrate {
                     return Err(ScopeError::NoSuchAxis { axis }.into());
                 }
                 let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
-                self.reference = Some(features(&frame, &self.vision.view)?);
+                self.reference = Some(features(&gray(&frame)?, &self.vision.view)?);
                 self.reference_pose = Some(PlanarPose::from(&at));
                 self.state = State::Translate {
                     index: 0,

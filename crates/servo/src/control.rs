@@ -14,6 +14,10 @@ pub struct PoseError {
 }
 
 impl PoseError {
+    /// The translation, um.
+    pub fn t_um(&self) -> Vec2 {
+        self.t_m.map(|v| v * 1e6)
+    }
     /// Length of the translation, um.
     pub fn distance_um(&self) -> f64 {
         f64::hypot(self.t_m[0], self.t_m[1]) * 1e6

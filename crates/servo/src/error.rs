@@ -1,6 +1,7 @@
 //! What can stop a procedure.
 
-use scopeservo_registration::NotFound;
+use crate::target::rival_in_words;
+use scopeservo_registration::{NotFound, Rival};
 use scopeservo_scope::{ObjectiveId, ScopeError};
 use scopeservo_sift::SiftError;
 use thiserror::Error;
@@ -119,6 +120,45 @@ pub enum ServoError {
         looks_like: Option<ObjectiveId>,
         /// What was measured.
         um_per_px: f64,
+    },
+    /// A view that could not be recognised again.
+    #[error(
+        "this view has {features} features{}, and could not be recognised: {needed} are needed. Focus, or choose a place with more \
+         tissue; nothing was saved",
+        moved.map_or(String::new(), |m| format!(", {m} of which were seen to move with the stage"))
+    )]
+    PoorTarget {
+        /// Features of the view.
+        features: usize,
+        /// Those that were seen to move with the stage, when that was looked at.
+        moved: Option<usize>,
+        /// Needed.
+        needed: usize,
+    },
+    /// The stage moved, and nothing in the picture did.
+    #[error(
+        "the stage moved by {moved_um:.1} um with {objective}, and nothing of the {features} features in the picture moved with it: it is stuck, or \
+         all of it is on the camera (dust, a reticle, burnt-in text); nothing was saved. Go to a place with tissue, or clean the camera"
+    )]
+    NothingMoves {
+        /// The objective in the beam.
+        objective: ObjectiveId,
+        /// How far the stage moved.
+        moved_um: f64,
+        /// Features of the view.
+        features: usize,
+    },
+    /// The view repeats itself.
+    #[error(
+        "this view looks the same {} away: whether a view is this place or that one could not be told, and nothing was saved. Choose a place \
+         with something that is there only once, a defect or an edge, or a lower magnification",
+        rival_in_words(rival, *um_per_px)
+    )]
+    Repeats {
+        /// The other place.
+        rival: Rival,
+        /// Size of a pixel, um, if known.
+        um_per_px: Option<f64>,
     },
     /// A setting that makes no sense.
     #[error("{0}")]

@@ -36,6 +36,8 @@ pub enum FrameRole {
     Calibration,
     /// An iteration of the servo.
     Servo,
+    /// A step aside, to see what moves with the stage.
+    Aside,
 }
 
 /// One thing that happened.
@@ -147,6 +149,17 @@ pub enum Event {
         sequence: u64,
         /// Why.
         reason: NotFound,
+    },
+    /// The stage stepped aside, to see what moves with it.
+    SteppedAside {
+        /// The objective in the beam.
+        objective: ObjectiveId,
+        /// How far it was asked to go, pixels of the view.
+        step_px: f64,
+        /// How far the specimen was seen to move, when it was.
+        seen_px: Option<f64>,
+        /// Places that stayed: they are fixed to the camera.
+        fixed: usize,
     },
     /// The run ended.
     Finished {

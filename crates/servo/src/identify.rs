@@ -4,7 +4,7 @@
 use crate::event::tell;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress};
-use crate::vision::{centre_px, features, grab, same_objective};
+use crate::vision::{centre_px, features, grab, gray, same_objective};
 use crate::{Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
 use scopeservo_registration::{NotFound, register};
@@ -76,7 +76,7 @@ impl Identify {
             Ok((
                 PlanarPose::from(&at).x_m,
                 centre,
-                features(&frame, &self.vision.view)?,
+                features(&gray(&frame)?, &self.vision.view)?,
             ))
         };
         let (a, centre, first) = see(1.0)?;
@@ -119,7 +119,7 @@ impl Identify {
 }
 
 /// Directions in x and y, with the axis' scatter: half-width in metres.
-fn directions(scope: &Instrument) -> Vec<(Vec2, f64)> {
+pub(crate) fn directions(scope: &Instrument) -> Vec<(Vec2, f64)> {
     let axes = [(Axis::X, [1.0, 0.0]), (Axis::Y, [0.0, 1.0])];
     let there = axes
         .iter()
@@ -130,7 +130,7 @@ fn directions(scope: &Instrument) -> Vec<(Vec2, f64)> {
 }
 
 /// The place `k` steps away from `home`.
-fn place(home: &PlanarPose, along: Vec2, step_m: f64, k: f64) -> PlanarPose {
+pub(crate) fn place(home: &PlanarPose, along: Vec2, step_m: f64, k: f64) -> PlanarPose {
     PlanarPose {
         x_m: [0, 1].map(|i| home.x_m[i] + k * step_m * along[i]),
         ..*home

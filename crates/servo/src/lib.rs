@@ -6,19 +6,24 @@
 //!
 //! Data flow one way: camera -> features -> match and fit -> homography -> pose error -> control -> stage.
 
+mod aside;
 mod bring;
 mod calibrate;
 mod calibration;
 mod control;
 mod error;
 mod event;
+mod fixed;
 mod focus;
 mod hand_eye;
 mod identify;
 mod kinematics;
 mod procedure;
+mod proof;
 mod reposition;
 pub mod servo;
+mod sight;
+mod target;
 mod vision;
 
 pub use bring::Bring;
@@ -27,6 +32,7 @@ pub use calibration::{CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
 pub use control::{PoseError, control_law, motion_of, pose_error};
 pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};
+pub use fixed::FixedPlaces;
 pub use focus::{Focus, FocusOptions, FocusResult, sharpness};
 pub use hand_eye::{Observation, solve_hand_eye};
 pub use identify::{Identify, Identity};
@@ -36,4 +42,5 @@ pub use reposition::{
     MagnificationResult, Outcome, Reason, Reposition, RepositionOptions, Verdict,
 };
 pub use servo::{Servo, ServoEnd, ServoOptions, ServoResult, ServoTask};
-pub use vision::{Engine, Target, VisionOptions};
+pub use target::{Picture, SaveOptions, SaveTarget, Target};
+pub use vision::{Engine, VisionOptions};

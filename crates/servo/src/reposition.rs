@@ -4,9 +4,10 @@
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
 use crate::servo::ServoTask;
+use crate::target::{MIN_TARGET_FEATURES, rival_in_words};
 use crate::{
     Bring, Calibrate, CalibrateOptions, Calibration, Engine, Event, FocusOptions, Phase, Servo,
-    ServoEnd, ServoError, ServoOptions, ServoResult, Sink, Target, VisionOptions,
+    ServoEnd, ServoError, ServoOptions, Sink, Target, VisionOptions,
 };
 use scopeservo_scope::{Instrument, Length, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
@@ -36,6 +37,8 @@ pub enum Verdict {
     NotFound,
     /// Something needed could not be done; nothing is claimed.
     Refused,
+    /// The saved view was seen, and so was another place that looks like it; nothing is claimed.
+    Ambiguous,
 }
 
 /// Why a run ended, for programs.
@@ -62,6 +65,14 @@ pub enum Reason {
     OutsideLimits,
     /// The place is back, but the stage has no axis for the angle that is left.
     CannotTurn,
+    /// Another place looks the same.
+    Ambiguous,
+    /// The stage moved, and nothing in the picture did: stuck, or all of it is on the camera.
+    NothingMoves,
+    /// What agrees with the target was not seen to move with the specimen.
+    Unproven,
+    /// The view does not rest.
+    Drifting,
 }
 
 /// What happened at one magnification.
@@ -102,9 +113,6 @@ enum State {
     Calibrate(Box<Calibrate>),
     Servo(Servo),
 }
-
-/// Fewer features than this and a target cannot be told from others.
-const MIN_TARGET_FEATURES: usize = 30;
 
 /// Algorithm 1 as a step machine. Serialise it between two steps to continue after a kill.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -361,6 +369,35 @@ impl Reposition {
                 );
                 Some(self.outcome(Verdict::Refused, Reason::IterationLimit, message))
             }
+            ServoEnd::Ambiguous { rival, um_per_px } => {
+                let message = format!(
+                    "at {at}x another place looks just like the saved view, {} away, and which is which could not be told: save a view \
+                     with something that is there only once, a defect or an edge",
+                    rival_in_words(&rival, Some(um_per_px))
+                );
+                Some(self.outcome(Verdict::Ambiguous, Reason::Ambiguous, message))
+            }
+            ServoEnd::NothingMoves { moved_um } => {
+                let message = format!(
+                    "at {at}x the stage moved by {moved_um:.1} um, and nothing in the picture moved with it: the stage is stuck, or all that \
+                     agrees with the saved view is on the camera (dust, a reticle, burnt-in text)"
+                );
+                Some(self.outcome(Verdict::Refused, Reason::NothingMoves, message))
+            }
+            ServoEnd::Unproven(_) => {
+                let message = format!(
+                    "at {at}x the picture agrees with the saved view, but too little of what agrees was seen to move with the specimen: the \
+                     rest may be on the camera. Clean it, or save a view with more tissue"
+                );
+                Some(self.outcome(Verdict::Refused, Reason::Unproven, message))
+            }
+            ServoEnd::Drifting { um_per_s, .. } => {
+                let message = format!(
+                    "the view drifts by {um_per_s:.2} um per second while the stage stands: wait until it rests, and look for what slips or \
+                     warms up, then try again"
+                );
+                Some(self.outcome(Verdict::Refused, Reason::Drifting, message))
+            }
             ServoEnd::Diverged(result) => {
                 let message = format!(
                     "at {at}x the view moved away, to {:.0} um, and the run was stopped: calibrate again and check that \
@@ -373,16 +410,13 @@ impl Reposition {
     }
 
     fn outcome(&self, verdict: Verdict, reason: Reason, message: String) -> Outcome {
-        let last = self.done.last().and_then(|d| match &d.end {
-            ServoEnd::Converged(r) | ServoEnd::IterationLimit(r) | ServoEnd::Diverged(r) => Some(r),
-            ServoEnd::Lost(_) => None,
-        });
+        let last = self.done.last().and_then(|d| d.end.result());
         Outcome {
             verdict,
             reason,
             message,
             estimated_error_um: last
-                .map(|r: &ServoResult| f64::hypot(r.error.distance_um(), r.sigma_um)),
+                .map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
             estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
             magnifications: self.done.clone(),
         }

@@ -1,18 +1,21 @@
 //! The servo loop at one magnification. The page to read first.
 //!
 //! One step: grab, describe, match and fit, homography, pose error, control, move. It ends when the error passes the
-//! convergence test in `confirmations` frames in a row, without a move in between: arrival is claimed by the image.
+//! convergence test in `confirmations` frames in a row, without a move in between: arrival is claimed by the image, on places that were
+//! seen to move with the specimen ([`crate::proof`]), and by frames far enough apart in time to see it drift.
 
 use crate::control::motion_of;
 use crate::event::tell;
 use crate::procedure::Progress;
-use crate::vision::{centre_px, features, grab};
+use crate::proof::{Drift, Proof};
+use crate::sight::Sight;
+use crate::vision::{centre_px, features, grab, gray};
 use crate::{
     Calibration, Event, FrameRole, PlanarPose, PoseError, ServoError, Sink, Target, VisionOptions,
     control_law, pose_after, pose_error,
 };
 use scopeservo_registration::{
-    Estimate, NotFound, Prior, Registration, RotationPrior, ScalePrior, register,
+    Estimate, Matched, NotFound, Prior, Registration, Rival, RotationPrior, ScalePrior,
 };
 use scopeservo_scope::{Axis, Instrument};
 use serde::{Deserialize, Serialize};
@@ -31,6 +34,8 @@ pub struct ServoOptions {
     pub angle_deg: f64,
     /// Frames in a row that must pass.
     pub confirmations: usize,
+    /// Seconds between them at the target's own magnification, at least: a specimen that drifts shows it.
+    pub confirmation_s: f64,
     /// Frames in a row that may be lost before giving up.
     pub max_lost: usize,
     /// Standard deviations by which the error must lie inside both limits at the target's own magnification, where passing
@@ -49,6 +54,7 @@ impl Default for ServoOptions {
             position_px: 0.8,
             angle_deg: 0.01,
             confirmations: 2,
+            confirmation_s: 0.5,
             max_lost: 3,
             sure_sigmas: 2.0,
             divergence_factor: 3.0,
@@ -70,6 +76,13 @@ pub struct ServoTask<'a> {
     pub options: &'a ServoOptions,
 }
 
+impl ServoTask<'_> {
+    /// Whether this is the target's own objective, where passing the test means arrival.
+    pub(crate) fn is_arrival(&self) -> bool {
+        self.view_calibration.objective == self.target_calibration.objective
+    }
+}
+
 /// How a loop ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -82,6 +95,58 @@ pub enum ServoEnd {
     IterationLimit(ServoResult),
     /// The error grows: a sign or a calibration is wrong.
     Diverged(ServoResult),
+    /// Another place explains the view as well.
+    Ambiguous {
+        /// The other one.
+        rival: Rival,
+        /// Size of a pixel of the target, um.
+        um_per_px: f64,
+    },
+    /// The stage moved, and nothing in the picture did.
+    NothingMoves {
+        /// How far the stage moved, um.
+        moved_um: f64,
+    },
+    /// What agrees was not seen to move with the specimen.
+    Unproven(ServoResult),
+    /// The view does not rest.
+    Drifting {
+        /// How fast, um/s.
+        um_per_s: f64,
+        /// The last error.
+        last: ServoResult,
+    },
+}
+
+impl ServoEnd {
+    /// The last error, where something is known of the specimen's.
+    pub fn result(&self) -> Option<&ServoResult> {
+        match self {
+            Self::Converged(r)
+            | Self::IterationLimit(r)
+            | Self::Diverged(r)
+            | Self::Drifting { last: r, .. } => Some(r),
+            // What is not known to be the specimen says nothing of its distance.
+            Self::Lost(_)
+            | Self::Ambiguous { .. }
+            | Self::NothingMoves { .. }
+            | Self::Unproven(_) => None,
+        }
+    }
+
+    /// The end in a word, for programs.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::Converged(_) => "converged",
+            Self::Lost(_) => "lost",
+            Self::IterationLimit(_) => "iteration_limit",
+            Self::Diverged(_) => "diverged",
+            Self::Ambiguous { .. } => "ambiguous",
+            Self::NothingMoves { .. } => "nothing_moves",
+            Self::Unproven(_) => "unproven",
+            Self::Drifting { .. } => "drifting",
+        }
+    }
 }
 
 /// The last error and how well it is known.
@@ -106,9 +171,25 @@ pub struct ServoResult {
 pub struct Servo {
     iteration: usize,
     lost_in_a_row: usize,
-    first: Option<PoseError>,
-    last_angle_rad: Option<f64>,
-    passed: Vec<PoseError>,
+    pub(crate) first: Option<PoseError>,
+    pub(crate) last_angle_rad: Option<f64>,
+    pub(crate) passed: Vec<Passed>,
+    #[serde(default)]
+    pub(crate) proof: Proof,
+    #[serde(default)]
+    pub(crate) drift: Drift,
+    /// The last frame, while nothing moved since.
+    #[serde(default)]
+    pub(crate) resting: Option<Passed>,
+}
+
+/// The error in a frame, and when.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Passed {
+    pub(crate) error: PoseError,
+    pub(crate) sigma_um: f64,
+    /// When its frame was exposed, on the instrument's clock.
+    pub(crate) time_s: f64,
 }
 
 impl Servo {
@@ -128,17 +209,20 @@ impl Servo {
         sink: &mut dyn Sink,
     ) -> Result<Progress<ServoEnd>, ServoError> {
         let objective = &task.view_calibration.objective;
+        self.rest(task, scope)?;
         let present = scope.gate().position()?;
         // Camera.
         let frame = grab(scope, sink, FrameRole::Servo, objective)?;
         // Features, match and fit.
-        let view = features(&frame, &task.vision.view)?;
-        let registration = register(
-            &view,
-            &task.target.features,
-            &self.prior(task),
-            &task.vision.registration,
+        let image = gray(&frame)?;
+        let seen = features(&image, &task.vision.view)?;
+        let (view, target) = (
+            self.proof.fixed.without(&seen),
+            self.proof.fixed.without(&task.target.features),
         );
+        let prior = self.prior(task);
+        let matched = Matched::of(&view, &target, &prior, &task.vision.registration);
+        let registration = &matched.registration;
         let estimate = match &registration.outcome {
             Ok(estimate) => estimate.clone(),
             Err(reason) => return Ok(self.lost(task, scope, sink, frame.sequence, reason)),
@@ -151,7 +235,7 @@ impl Servo {
             task.view_calibration,
             task.target_calibration,
             centre_px(frame.width, frame.height),
-            centre_px(task.target.features.width, task.target.features.height),
+            centre_px(target.width, target.height),
         ) else {
             let reason = NotFound::NoAgreement {
                 matches: registration.matches,
@@ -180,7 +264,33 @@ impl Servo {
             converged,
         };
         tell(scope, sink, event);
-        if let Some(end) = self.judge(task, &error, converged, &registration, &estimate) {
+        // Is it the specimen, and the only place that looks like this?
+        let sight = Sight {
+            image: &image,
+            seen: &seen,
+            view: &view,
+            target: &target,
+            matched: &matched,
+            prior: &prior,
+        };
+        if let Some(end) = self.ambiguity(task, &sight, &estimate, converged) {
+            return Ok(Progress::Done(end));
+        }
+        if self.owes_a_step_aside(task, &sight, &estimate, &error, converged) {
+            self.iteration += 1;
+            let last = self.result(task, error, &matched.registration, &estimate);
+            return self.step_aside(task, scope, sink, &sight, &present, last);
+        }
+        let now = Passed {
+            error,
+            sigma_um: sigma_um(&estimate, task),
+            time_s: frame.exposure_start.seconds(),
+        };
+        if let Some(um_per_s) = self.drifts(task, now) {
+            let last = self.result(task, error, registration, &estimate);
+            return Ok(Progress::Done(ServoEnd::Drifting { um_per_s, last }));
+        }
+        if let Some(end) = self.judge(task, now, converged, registration, &estimate) {
             return Ok(Progress::Done(end));
         }
         // Stage. A frame that passes is confirmed by the next one from the same place.
@@ -188,6 +298,8 @@ impl Servo {
             let motion = motion_of(&velocity, task.view_calibration);
             let kinematics = scope.gate().info().kinematics;
             let to = pose_after(kinematics, &PlanarPose::from(&present), &motion);
+            self.proof.moving(error.t_um(), velocity.distance_um());
+            self.resting = None;
             scope.move_to(&to.request(&present))?;
         }
         self.iteration += 1;
@@ -213,43 +325,53 @@ impl Servo {
     fn judge(
         &mut self,
         task: &ServoTask<'_>,
-        error: &PoseError,
+        now: Passed,
         converged: bool,
         registration: &Registration,
         estimate: &Estimate,
     ) -> Option<ServoEnd> {
-        let options = task.options;
+        let (options, error) = (task.options, now.error);
         let distance_m = error.distance_um() * 1e-6;
-        let first = *self.first.get_or_insert(*error);
+        let first = *self.first.get_or_insert(error);
         let grown = |now: f64, first: f64, least: f64| {
             now.abs() > least && now.abs() > options.divergence_factor * first.abs()
         };
-        if converged {
-            self.passed.push(*error);
-        } else {
+        // What was suspected to drift is confirmed anew.
+        if !converged || self.drift.suspected() {
             self.passed.clear();
         }
-        let result = |error: PoseError| ServoResult {
-            iterations: self.iteration + 1,
-            inliers: registration.inliers,
-            error,
-            sigma_um: f64::hypot(
-                estimate.sigma_px * std::f64::consts::SQRT_2 * task.target_calibration.um_per_px(),
-                scatter_um(&self.passed),
-            ),
-            sigma_deg: estimate.sigma_angle_rad.to_degrees(),
-        };
+        if converged {
+            self.passed.push(now);
+        }
         let far = 10.0 * task.view_calibration.um_per_px() * 1e-6;
         if self.passed.len() >= options.confirmations.max(1) {
-            Some(ServoEnd::Converged(result(mean(&self.passed))))
+            let passed: Vec<PoseError> = self.passed.iter().map(|p| p.error).collect();
+            Some(ServoEnd::Converged(self.result(task, mean(&passed), registration, estimate)))
         } else if grown(distance_m, first.distance_um() * 1e-6, far)
             || grown(error.angle_deg(), first.angle_deg(), 0.5)
         {
-            Some(ServoEnd::Diverged(result(*error)))
+            Some(ServoEnd::Diverged(self.result(task, error, registration, estimate)))
         } else if self.iteration + 1 >= options.max_iterations {
-            Some(ServoEnd::IterationLimit(result(*error)))
+            Some(ServoEnd::IterationLimit(self.result(task, error, registration, estimate)))
         } else {
             None
+        }
+    }
+
+    fn result(
+        &self,
+        task: &ServoTask<'_>,
+        error: PoseError,
+        registration: &Registration,
+        estimate: &Estimate,
+    ) -> ServoResult {
+        let passed: Vec<PoseError> = self.passed.iter().map(|p| p.error).collect();
+        ServoResult {
+            iterations: self.iteration + 1,
+            inliers: registration.inliers,
+            error,
+            sigma_um: f64::hypot(sigma_um(estimate, task), scatter_um(&passed)),
+            sigma_deg: estimate.sigma_angle_rad.to_degrees(),
         }
     }
 
@@ -269,6 +391,7 @@ impl Servo {
         };
         tell(scope, sink, event);
         self.passed.clear();
+        self.resting = None;
         self.lost_in_a_row += 1;
         self.iteration += 1;
         if self.lost_in_a_row >= task.options.max_lost.max(1)
@@ -281,12 +404,16 @@ impl Servo {
     }
 }
 
+/// Standard deviation of the error's distance by the registration, um.
+fn sigma_um(estimate: &Estimate, task: &ServoTask<'_>) -> f64 {
+    estimate.sigma_px * std::f64::consts::SQRT_2 * task.target_calibration.um_per_px()
+}
+
 /// The convergence test: within `position_px` pixels of the present view and, where the stage can turn, within
 /// `angle_deg` times the ratio of view pixel to target pixel. With the target's own objective, where passing means
 /// arrival, the error must be inside by `sure_sigmas` standard deviations.
 fn passes(error: &PoseError, estimate: &Estimate, turns: bool, task: &ServoTask<'_>) -> bool {
-    let arrival = task.view_calibration.objective == task.target_calibration.objective;
-    let sigmas = if arrival {
+    let sigmas = if task.is_arrival() {
         task.options.sure_sigmas
     } else {
         0.0

@@ -1,4 +1,4 @@
-//! From the camera to features, and the target as a value.
+//! From the camera to features.
 
 use crate::event::tell;
 use crate::{Event, FrameRole, ServoError, Sink};
@@ -56,36 +56,6 @@ impl Engine {
     }
 }
 
-/// A saved view: its features and what made it. The picture itself is not needed to come back to it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Target {
-    /// The objective it was taken with.
-    pub objective: ObjectiveId,
-    /// Its features, made with the target settings.
-    pub features: Features,
-}
-
-impl Target {
-    /// Grabs the present view as a target.
-    ///
-    /// # Errors
-    /// Instrument and detector errors; [`ServoError::BadOption`] when no objective is in the beam.
-    pub fn save(
-        scope: &Instrument,
-        options: &VisionOptions,
-        sink: &mut dyn Sink,
-    ) -> Result<Self, ServoError> {
-        let objective = scope.gate().current_objective()?.ok_or_else(|| {
-            ServoError::BadOption("no objective is in the beam; select one and try again".into())
-        })?;
-        let frame = grab(scope, sink, FrameRole::Target, &objective)?;
-        Ok(Self {
-            objective,
-            features: features(&frame, &options.target)?,
-        })
-    }
-}
-
 /// Grabs a fresh frame and tells of it.
 pub(crate) fn grab(
     scope: &Instrument,
@@ -109,18 +79,22 @@ thread_local! {
     static ENGINE: RefCell<Option<Sift>> = const { RefCell::new(None) };
 }
 
-/// Features of a frame's luminance.
+/// A frame's luminance.
+pub(crate) fn gray(frame: &Frame) -> Result<GrayImage, ServoError> {
+    Ok(GrayImage::new(frame.width, frame.height, frame.luminance())?)
+}
+
+/// Features of a picture.
 pub(crate) fn features(
-    frame: &Frame,
+    image: &GrayImage,
     options: &scopeservo_sift::Options,
 ) -> Result<Features, ServoError> {
-    let image = GrayImage::new(frame.width, frame.height, frame.luminance())?;
     ENGINE.with_borrow_mut(|kept| {
         let engine = match kept {
             Some(engine) if engine.options() == options => engine,
             _ => kept.insert(Sift::new(options.clone())?),
         };
-        Ok(engine.detect_and_describe(&image))
+        Ok(engine.detect_and_describe(image))
     })
 }
 

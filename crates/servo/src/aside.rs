@@ -1,0 +1,121 @@
+//! A step aside: the stage moves the view a little, and what does not move along is fixed to the camera.
+
+use crate::event::tell;
+use crate::fixed::{FixedPlaces, Parallax};
+use crate::identify::{directions, place};
+use crate::vision::{features, grab, gray};
+use crate::{Event, FrameRole, PlanarPose, ServoError, Sink, VisionOptions};
+use scopeservo_geometry::Vec2;
+use scopeservo_scope::{Axis, Instrument, ObjectiveId, ScopeError};
+use scopeservo_sift::{Features, GrayImage};
+
+/// So far the view must be seen to move, pixels: what stays and what moves is then told apart without doubt. Also the first step.
+pub(crate) const SEEN_PX: f64 = 12.0;
+/// The step doubles up to this share of the shorter side: play in the drive may swallow a small one.
+const LONGEST_SHARE: f64 = 0.25;
+
+/// What a step aside showed.
+pub(crate) enum Aside {
+    /// The specimen moved.
+    Seen(Box<Seen>),
+    /// Nothing did.
+    Nothing {
+        /// The longest step, um.
+        moved_um: f64,
+    },
+}
+
+/// The second frame of a step aside, and what it tells of the first.
+pub(crate) struct Seen {
+    pub(crate) parallax: Parallax,
+    pub(crate) fixed: FixedPlaces,
+    pub(crate) image: GrayImage,
+    pub(crate) features: Features,
+}
+
+/// The steps to try, pixels.
+fn steps(shorter_px: usize) -> Vec<f64> {
+    let longest = LONGEST_SHARE * shorter_px as f64;
+    let doubling = std::iter::successors(Some(SEEN_PX), |s| Some(2.0 * s));
+    let mut steps: Vec<f64> = doubling.take_while(|s| *s < longest).collect();
+    steps.push(longest.max(SEEN_PX));
+    steps
+}
+
+/// Moves away from `home`, where the frame `first` was taken, until the view is seen to have moved, and stays there.
+pub(crate) fn step_aside(
+    scope: &Instrument,
+    sink: &mut dyn Sink,
+    (objective, um_per_px): (&ObjectiveId, f64),
+    vision: &VisionOptions,
+    (first, first_features): (&GrayImage, &Features),
+    home: &PlanarPose,
+) -> Result<Aside, ServoError> {
+    let mut gone_um = 0.0;
+    let mut refused = None;
+    for step_px in steps(first.width().min(first.height())) {
+        let step_m = step_px * um_per_px * 1e-6;
+        let along = match free_direction(scope, home, step_m) {
+            Ok(along) => along,
+            Err(why) => {
+                refused = Some(why);
+                break;
+            }
+        };
+        let to = place(home, along, step_m, 1.0);
+        scope.move_to(&to.request(&scope.gate().position()?))?;
+        gone_um = step_m * 1e6;
+        let frame = grab(scope, sink, FrameRole::Aside, objective)?;
+        let image = gray(&frame)?;
+        let second = features(&image, &vision.view)?;
+        let seen = Parallax::of((first, first_features), (&image, &second), &vision.registration);
+        let seen_px = seen.as_ref().map(|s| s.motion_px(image.width(), image.height()));
+        let enough = seen.filter(|_| seen_px.is_some_and(|px| px >= SEEN_PX - 1.0));
+        let fixed = enough.as_ref().map(|parallax| parallax.fixed(first_features));
+        let event = Event::SteppedAside {
+            objective: objective.clone(),
+            step_px,
+            seen_px,
+            fixed: fixed.as_ref().map_or(0, FixedPlaces::len),
+        };
+        tell(scope, sink, event);
+        if let (Some(parallax), Some(fixed)) = (enough, fixed) {
+            return Ok(Aside::Seen(Box::new(Seen {
+                parallax,
+                fixed,
+                image,
+                features: second,
+            })));
+        }
+    }
+    match refused {
+        Some(why) if gone_um == 0.0 => Err(why.into()),
+        _ => Ok(Aside::Nothing { moved_um: gone_um }),
+    }
+}
+
+/// A direction in x or y in which a step is allowed; the first refusal when none is.
+fn free_direction(scope: &Instrument, home: &PlanarPose, step_m: f64) -> Result<Vec2, ScopeError> {
+    let present = scope.gate().position()?;
+    let mut refused = None;
+    for (along, _) in directions(scope) {
+        let to = place(home, along, step_m, 1.0).request(&present);
+        match scope.gate().check(&to) {
+            Ok(()) => return Ok(along),
+            Err(why) => refused = refused.or(Some(why)),
+        }
+    }
+    Err(refused.unwrap_or(ScopeError::NoSuchAxis { axis: Axis::X }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_double_up_to_a_quarter_of_the_shorter_side() {
+        assert_eq!(steps(480), [12.0, 24.0, 48.0, 96.0, 120.0]);
+        assert_eq!(steps(300), [12.0, 24.0, 48.0, 75.0]);
+        assert_eq!(steps(32), [12.0]);
+    }
+}

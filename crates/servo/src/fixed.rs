@@ -1,0 +1,156 @@
+//! What is fixed to the camera: dust on its window, a reticle, burnt-in text, its pattern of noise. It stays where it is on the sensor while
+//! the stage moves the specimen, and two frames between which the stage moved tell one from the other.
+
+use crate::vision::same_objective;
+use scopeservo_geometry::{Affine2, Vec2};
+use scopeservo_registration::likeness::{Likeness, Plane, likeness};
+use scopeservo_registration::{Options, Prior, register};
+use scopeservo_sift::{Features, GrayImage, Keypoint};
+use serde::{Deserialize, Serialize};
+
+/// What moves nearer than this cannot be told from what stays, pixels.
+pub(crate) const LEAST_PX: f64 = 3.0;
+/// A place is taken for moved or fixed when its patch correlates at least so much with where that puts it,
+const ALIKE: f64 = 0.6;
+/// and by this much less with where the other does.
+const APART: f64 = 0.3;
+/// Half side of the patches of a grid over the picture, and their distance, pixels.
+const GRID_RADIUS: usize = 8;
+const GRID_STEP: usize = 8;
+/// Blur before comparing, pixels.
+const BLUR_PX: f64 = 1.0;
+/// The least and the greatest half side of a keypoint's patch, pixels, and its size in sigmas.
+const RADIUS: [f64; 2] = [6.0, 24.0];
+const RADIUS_SIGMAS: f64 = 4.0;
+
+/// Whether a place moved with the specimen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Place {
+    Moved,
+    Stayed,
+    Neither,
+}
+
+/// Two frames of one objective between which the specimen was seen to move.
+pub(crate) struct Parallax {
+    first: Plane,
+    second: Plane,
+    /// Pixel of the second frame from pixel of the first, for the specimen.
+    pub(crate) second_from_first: Affine2,
+}
+
+impl Parallax {
+    /// `None` when nothing is seen to move by [`LEAST_PX`] or more.
+    pub(crate) fn of(
+        (first, first_features): (&GrayImage, &Features),
+        (second, second_features): (&GrayImage, &Features),
+        options: &Options,
+    ) -> Option<Self> {
+        let prior = Prior {
+            moved_px: Some(LEAST_PX),
+            ..same_objective(0.05)
+        };
+        let seen = register(first_features, second_features, &prior, options);
+        let second_from_first = seen.found()?.target_from_view;
+        let parallax = Self {
+            first: Plane::new(first, BLUR_PX),
+            second: Plane::new(second, BLUR_PX),
+            second_from_first,
+        };
+        (parallax.motion_px(first.width(), first.height()) >= LEAST_PX).then_some(parallax)
+    }
+
+    /// How far the picture's centre moved.
+    pub(crate) fn motion_px(&self, width: usize, height: usize) -> f64 {
+        let c = crate::vision::centre_px(width, height);
+        let q = self.second_from_first.apply(c);
+        f64::hypot(q[0] - c[0], q[1] - c[1])
+    }
+
+    /// Judges the patch around a pixel of the first frame.
+    fn judge(&self, centre: [usize; 2], radius: usize) -> Place {
+        let see = |t: &Affine2| likeness(&self.first, &self.second, t, centre, radius);
+        let correlation = |l: Option<Likeness>| l.map_or(0.0, |l| l.correlation);
+        let moved = correlation(see(&self.second_from_first));
+        let stayed = correlation(see(&Affine2::IDENTITY));
+        if moved >= ALIKE && stayed <= moved - APART {
+            Place::Moved
+        } else if stayed >= ALIKE && moved <= stayed - APART {
+            Place::Stayed
+        } else {
+            Place::Neither
+        }
+    }
+
+    /// Judges a keypoint of the first frame.
+    pub(crate) fn of_keypoint(&self, k: &Keypoint) -> Place {
+        let radius = (RADIUS_SIGMAS * f64::from(k.sigma)).clamp(RADIUS[0], RADIUS[1]);
+        self.judge([k.x, k.y].map(|v| v.round().max(0.0) as usize), radius as usize)
+    }
+
+    /// All places that stayed, of a grid over the picture and of its features.
+    pub(crate) fn fixed(&self, features: &Features) -> FixedPlaces {
+        let mut places = Vec::new();
+        let along = |side: usize| (GRID_RADIUS..side.saturating_sub(GRID_RADIUS)).step_by(GRID_STEP);
+        for y in along(features.height) {
+            for x in along(features.width) {
+                if self.judge([x, y], GRID_RADIUS) == Place::Stayed {
+                    places.push([x as f32, y as f32, GRID_RADIUS as f32]);
+                }
+            }
+        }
+        let stayed = features.keypoints.iter().filter(|k| self.of_keypoint(k) == Place::Stayed);
+        places.extend(stayed.map(|k| [k.x, k.y, (2.0 * k.sigma).max(4.0)]));
+        FixedPlaces {
+            width: features.width,
+            height: features.height,
+            places,
+        }
+    }
+}
+
+/// Places on the sensor where something is that does not belong to the specimen: x, y and radius, pixels.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct FixedPlaces {
+    width: usize,
+    height: usize,
+    places: Vec<[f32; 3]>,
+}
+
+impl FixedPlaces {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.places.is_empty()
+    }
+
+    /// Adds those of another look with the same camera.
+    pub(crate) fn add(&mut self, other: FixedPlaces) {
+        (self.width, self.height) = (other.width, other.height);
+        self.places.extend(other.places);
+    }
+
+    /// Whether a place of the picture is one of them.
+    pub(crate) fn holds(&self, p: Vec2) -> bool {
+        self.places.iter().any(|&[x, y, r]| {
+            let d = [p[0] - f64::from(x), p[1] - f64::from(y)];
+            d[0] * d[0] + d[1] * d[1] < f64::from(r * r)
+        })
+    }
+
+    /// The features that lie on none of them. A picture of another size is one of another camera, and keeps all.
+    pub(crate) fn without<'a>(&self, features: &'a Features) -> std::borrow::Cow<'a, Features> {
+        if self.is_empty() || [self.width, self.height] != [features.width, features.height] {
+            return std::borrow::Cow::Borrowed(features);
+        }
+        let at = |k: &Keypoint| [f64::from(k.x), f64::from(k.y)];
+        let free: Vec<usize> = (0..features.len())
+            .filter(|&i| !self.holds(at(&features.keypoints[i])))
+            .collect();
+        std::borrow::Cow::Owned(features.subset(&free))
+    }
+}

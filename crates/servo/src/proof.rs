@@ -1,0 +1,226 @@
+//! Proof by motion: at the target's own magnification arrival is claimed only on places that were seen to move with the specimen, and
+//! only when no other transform explains them as well.
+//!
+//! A run's own moves prove it in passing. Whoever begins at the goal has made none: then a step aside is owed.
+
+use crate::aside::SEEN_PX;
+use crate::fixed::{FixedPlaces, LEAST_PX};
+use scopeservo_geometry::{Affine2, Correspondence, Vec2};
+use scopeservo_registration::{Estimate, Matched, Options, Prior, Registration, register_matches};
+use scopeservo_sift::{Features, Match};
+use serde::{Deserialize, Serialize};
+use std::collections::{HashMap, HashSet};
+
+/// So many frames from elsewhere are kept: the latest.
+const WITNESSES: usize = 3;
+/// Steps aside in one leg, at most.
+const ASIDES: u8 = 2;
+/// The transform of the places that moved must agree with the one of all places within so many sigmas,
+const AGREE_SIGMAS: f64 = 3.0;
+/// or this, in pixels of the coarser picture: the noise that both share.
+const AGREE_PX: f64 = 0.05;
+/// A view that follows a move by less than this share does not follow.
+const FOLLOWS: f64 = 0.25;
+
+/// A frame of the target's own leg from elsewhere: where in the view each place of the target was.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Witness {
+    /// x, y in the view, x, y in the target.
+    places: Vec<[f32; 4]>,
+}
+
+/// What the frames of a leg have shown so far.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Proof {
+    witnesses: Vec<Witness>,
+    /// What is known to be fixed to the camera.
+    pub(crate) fixed: FixedPlaces,
+    asides: u8,
+    /// Whether nothing else explains the view as well.
+    pub(crate) unique: bool,
+    /// The error before the last move and the length of that move, um.
+    asked: Option<(Vec2, f64)>,
+}
+
+impl Proof {
+    /// Whether a step aside may still be made.
+    pub(crate) fn may_step_aside(&self) -> bool {
+        self.asides < ASIDES
+    }
+
+    /// Counts one; `false` when none is left.
+    pub(crate) fn spend_step_aside(&mut self) -> bool {
+        let may = self.may_step_aside();
+        self.asides += u8::from(may);
+        may
+    }
+
+    /// Keeps a frame that was taken far enough from the goal.
+    pub(crate) fn witness(&mut self, target_from_view: &Affine2, registration: &Registration, centre: Vec2) {
+        if far_from_goal(target_from_view, centre) {
+            self.witnesses.push(Witness {
+                places: registration.pairs.clone(),
+            });
+            let extra = self.witnesses.len().saturating_sub(WITNESSES);
+            self.witnesses.drain(..extra);
+        }
+    }
+
+    /// Whether the agreeing places that moved say the same as all of them.
+    pub(crate) fn holds(
+        &self,
+        (view, target): (&Features, &Features),
+        matched: &Matched,
+        estimate: &Estimate,
+        prior: &Prior,
+        options: &Options,
+    ) -> bool {
+        let seen_at = self.places_seen();
+        let moved = |[query, train]: [usize; 2]| {
+            let (v, t) = (&view.keypoints[query], &target.keypoints[train]);
+            let before = seen_at.get(&key(t.x, t.y));
+            before.is_some_and(|all| {
+                all.iter().any(|p| f64::from(f32::hypot(v.x - p[0], v.y - p[1])) > LEAST_PX)
+            })
+        };
+        let unproven: HashSet<[usize; 2]> = matched
+            .registration
+            .agreeing
+            .iter()
+            .copied()
+            .filter(|pair| !moved(*pair))
+            .collect();
+        let (matches, pairs): (Vec<Match>, Vec<Correspondence>) = matched
+            .matches
+            .iter()
+            .zip(&matched.pairs)
+            .filter(|(m, _)| !unproven.contains(&[m.query, m.train]))
+            .map(|(m, c)| (*m, *c))
+            .unzip();
+        let again = register_matches(view, target, prior, options, &matches, &pairs);
+        let Some(found) = again.found() else { return false };
+        let centre = crate::vision::centre_px(view.width, view.height);
+        let (a, b) = (
+            estimate.target_from_view.apply(centre),
+            found.target_from_view.apply(centre),
+        );
+        let coarse_px = estimate.target_from_view.linear.det().abs().sqrt().max(1.0);
+        let allowed = AGREE_SIGMAS * f64::hypot(found.sigma_px, estimate.sigma_px) + AGREE_PX * coarse_px;
+        f64::hypot(a[0] - b[0], a[1] - b[1]) <= allowed
+    }
+
+    /// Where in the views of the witnesses each place of the target was.
+    fn places_seen(&self) -> HashMap<(u32, u32), Vec<[f32; 2]>> {
+        let mut seen = HashMap::<_, Vec<[f32; 2]>>::new();
+        for [vx, vy, tx, ty] in self.witnesses.iter().flat_map(|w| &w.places) {
+            seen.entry(key(*tx, *ty)).or_default().push([*vx, *vy]);
+        }
+        seen
+    }
+
+    /// A move of `way_um` begins where the error is `error_um`.
+    pub(crate) fn moving(&mut self, error_um: Vec2, way_um: f64) {
+        self.asked = Some((error_um, way_um));
+    }
+
+    /// Whether the view did not follow the last move, though it was long enough to see.
+    pub(crate) fn does_not_follow(&mut self, error_um: Vec2, um_per_px: f64) -> bool {
+        let Some((before, way_um)) = self.asked.take() else {
+            return false;
+        };
+        let went = f64::hypot(error_um[0] - before[0], error_um[1] - before[1]);
+        way_um >= SEEN_PX * um_per_px && went < FOLLOWS * way_um
+    }
+}
+
+/// Places are told apart by their coordinates, bit for bit: they come from one stored target.
+fn key(x: f32, y: f32) -> (u32, u32) {
+    (x.to_bits(), y.to_bits())
+}
+
+/// Whether what is fixed to the camera would be seen to disagree.
+pub(crate) fn far_from_goal(target_from_view: &Affine2, centre: Vec2) -> bool {
+    let q = target_from_view.apply(centre);
+    f64::hypot(q[0] - centre[0], q[1] - centre[1]) >= SEEN_PX
+}
+
+/// Whether a target that rests was seen from one place at several moments to drift.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Drift {
+    /// Speeds that were too high, um/s, one after the other.
+    seen: Vec<Vec2>,
+}
+
+/// Speeds that agree: their sum is at least this share of the sum of their lengths.
+const ONE_WAY: f64 = 0.85;
+
+impl Drift {
+    /// Takes how far the view went by itself in `seconds`, known to `sigma_um`; tells the speed when it drifts for sure.
+    pub(crate) fn take(&mut self, way_um: Vec2, seconds: f64, sigma_um: f64, tolerance_um: f64) -> Option<f64> {
+        let way = f64::hypot(way_um[0], way_um[1]);
+        // More than three sigmas, and half the tolerance in a second.
+        if seconds <= 0.0 || way <= 3.0 * sigma_um || way <= 0.5 * tolerance_um * seconds {
+            self.seen.clear();
+            return None;
+        }
+        self.seen.push(way_um.map(|w| w / seconds));
+        let lengths: f64 = self.seen.iter().map(|v| f64::hypot(v[0], v[1])).sum();
+        let sum = [0, 1].map(|k| self.seen.iter().map(|v| v[k]).sum::<f64>());
+        let one_way = f64::hypot(sum[0], sum[1]) >= ONE_WAY * lengths;
+        let speed = lengths / self.seen.len() as f64;
+        // A stage that creeps after a move, or shakes, is looked at once or twice more.
+        let needed = if speed > tolerance_um { 2 } else { 3 };
+        (one_way && self.seen.len() >= needed).then_some(speed)
+    }
+
+    /// Whether the last look saw it drift.
+    pub(crate) fn suspected(&self) -> bool {
+        !self.seen.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drift_is_sure_when_it_goes_one_way_again_and_again() {
+        let mut drift = Drift::default();
+        assert_eq!(drift.take([2.5, 0.0], 0.5, 0.02, 0.8), None);
+        assert!(drift.suspected());
+        let speed = drift.take([2.4, 0.2], 0.5, 0.02, 0.8).unwrap();
+        assert!((speed - 4.9).abs() < 0.05, "{speed}");
+        // Slower than the tolerance in a second: three looks.
+        let mut slow = Drift::default();
+        assert_eq!(slow.take([0.3, 0.0], 0.5, 0.02, 0.8), None);
+        assert_eq!(slow.take([0.3, 0.0], 0.5, 0.02, 0.8), None);
+        assert!(slow.take([0.3, 0.0], 0.5, 0.02, 0.8).is_some());
+    }
+
+    #[test]
+    fn shaking_and_what_is_within_noise_or_tolerance_is_no_drift() {
+        let mut shaking = Drift::default();
+        for k in 0..20 {
+            let way = if k % 2 == 0 { 0.5 } else { -0.5 };
+            assert_eq!(shaking.take([way, 0.0], 0.5, 0.02, 0.8), None);
+        }
+        let mut noisy = Drift::default();
+        for _ in 0..20 {
+            assert_eq!(noisy.take([0.5, 0.0], 0.5, 0.2, 0.8), None);
+            assert_eq!(noisy.take([0.15, 0.0], 0.5, 0.01, 0.8), None);
+            assert!(!noisy.suspected());
+        }
+    }
+
+    #[test]
+    fn a_view_that_stays_when_the_stage_moves_does_not_follow() {
+        let mut proof = Proof::default();
+        assert!(!proof.does_not_follow([0.0, 0.0], 0.5), "nothing was asked");
+        proof.moving([30.0, 0.0], 8.0);
+        assert!(proof.does_not_follow([29.5, 0.0], 0.5));
+        proof.moving([30.0, 0.0], 8.0);
+        assert!(!proof.does_not_follow([22.0, 0.0], 0.5));
+        proof.moving([30.0, 0.0], 2.0);
+        assert!(!proof.does_not_follow([30.0, 0.0], 0.5), "too short to be seen");
+    }
+}

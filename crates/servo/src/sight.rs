@@ -1,0 +1,183 @@
+//! What the servo asks of a view beyond its pose: is this the specimen, is it the only place that looks like this, does it rest?
+
+use crate::aside::{Aside, step_aside};
+use crate::procedure::Progress;
+use crate::proof::far_from_goal;
+use crate::servo::{Passed, ServoEnd, ServoResult, ServoTask};
+use crate::vision::centre_px;
+use crate::{PlanarPose, PoseError, Servo, ServoError, Sink};
+use scopeservo_registration::likeness::Pair;
+use scopeservo_registration::{Contest, Estimate, Matched, Prior, Rival, contest, find_rival};
+use scopeservo_scope::{Instrument, StagePose};
+use scopeservo_sift::{Features, GrayImage};
+use std::time::Duration;
+
+/// How often one who waits looks whether a stop was asked for.
+const LOOK: Duration = Duration::from_millis(20);
+/// Where the target has no picture to ask, a rival that explains this share of the places is as good.
+const AS_GOOD: f64 = 0.8;
+
+/// One frame, as far as it was understood.
+pub(crate) struct Sight<'a> {
+    pub(crate) image: &'a GrayImage,
+    /// All its features.
+    pub(crate) seen: &'a Features,
+    /// Those that are not known to be fixed to the camera.
+    pub(crate) view: &'a Features,
+    /// The same of the target.
+    pub(crate) target: &'a Features,
+    pub(crate) matched: &'a Matched,
+    pub(crate) prior: &'a Prior,
+}
+
+impl Servo {
+    /// Confirming frames lie some time apart: what drifts is seen to.
+    pub(crate) fn rest(&self, task: &ServoTask<'_>, scope: &Instrument) -> Result<(), ServoError> {
+        let Some(before) = self.resting.filter(|_| task.is_arrival()) else {
+            return Ok(());
+        };
+        let until = before.time_s + task.options.confirmation_s;
+        loop {
+            let left = until - scope.clock().now().seconds();
+            // A clock that was started anew after a kill knows nothing of the frame before.
+            if left <= 0.0 || left > task.options.confirmation_s {
+                return Ok(());
+            }
+            scope.clock().sleep(LOOK.min(Duration::from_secs_f64(left)));
+            scope.check_cancel()?;
+        }
+    }
+
+    /// Whether another place explains the view as well as the one that was found.
+    ///
+    /// In the target's own leg this is asked away from the goal, where what is fixed to the camera speaks for neither; before, at the
+    /// first sight and at the end.
+    pub(crate) fn ambiguity(
+        &mut self,
+        task: &ServoTask<'_>,
+        sight: &Sight<'_>,
+        estimate: &Estimate,
+        converged: bool,
+    ) -> Option<ServoEnd> {
+        let centre = centre_px(sight.view.width, sight.view.height);
+        let due = match task.is_arrival() {
+            true => !self.proof.unique && far_from_goal(&estimate.target_from_view, centre),
+            false => !self.proof.unique || converged,
+        };
+        if !due {
+            return None;
+        }
+        if let Some(rival) = self.rival(task, sight, estimate) {
+            return Some(ServoEnd::Ambiguous {
+                rival,
+                um_per_px: task.target_calibration.um_per_px(),
+            });
+        }
+        self.proof.unique = true;
+        None
+    }
+
+    fn rival(&self, task: &ServoTask<'_>, sight: &Sight<'_>, estimate: &Estimate) -> Option<Rival> {
+        let rival = find_rival(
+            sight.view,
+            sight.target,
+            &sight.matched.registration,
+            sight.prior,
+            &task.vision.registration,
+            task.is_arrival(),
+        )?;
+        let Some(picture) = task.target.picture.as_ref().and_then(|p| p.image()) else {
+            return (rival.places as f64 >= AS_GOOD * rival.asked as f64).then_some(rival);
+        };
+        let transform = &estimate.target_from_view;
+        let pair = Pair::new(sight.image, &picture, transform.linear.det().abs().sqrt());
+        let decided = contest(&pair, transform, &rival, |p| !self.proof.fixed.holds(p));
+        (decided != Contest::First).then_some(rival)
+    }
+
+    /// Whether this frame must be proved by a step aside: it passes, and what agrees was not seen to move; or the view does not follow the
+    /// stage.
+    pub(crate) fn owes_a_step_aside(
+        &mut self,
+        task: &ServoTask<'_>,
+        sight: &Sight<'_>,
+        estimate: &Estimate,
+        error: &PoseError,
+        converged: bool,
+    ) -> bool {
+        if !task.is_arrival() {
+            return false;
+        }
+        let registration = &sight.matched.registration;
+        let centre = centre_px(sight.view.width, sight.view.height);
+        let um_per_px = task.target_calibration.um_per_px();
+        let stays = self.proof.does_not_follow(error.t_um(), um_per_px);
+        if converged {
+            return !self.proof.holds(
+                (sight.view, sight.target),
+                sight.matched,
+                estimate,
+                sight.prior,
+                &task.vision.registration,
+            );
+        }
+        self.proof.witness(&estimate.target_from_view, registration, centre);
+        stays && self.proof.may_step_aside()
+    }
+
+    /// Steps aside once, and goes on from there; what stays is left out from now on.
+    pub(crate) fn step_aside(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        sight: &Sight<'_>,
+        present: &StagePose,
+        last: ServoResult,
+    ) -> Result<Progress<ServoEnd>, ServoError> {
+        if !self.proof.spend_step_aside() {
+            return Ok(Progress::Done(ServoEnd::Unproven(last)));
+        }
+        self.passed.clear();
+        self.resting = None;
+        let objective = &task.view_calibration.objective;
+        let aside = step_aside(
+            scope,
+            sink,
+            (objective, task.view_calibration.um_per_px()),
+            task.vision,
+            (sight.image, sight.seen),
+            &PlanarPose::from(present),
+        )?;
+        match aside {
+            Aside::Nothing { moved_um } => {
+                Ok(Progress::Done(ServoEnd::NothingMoves { moved_um }))
+            }
+            Aside::Seen(seen) => {
+                // What was believed so far may have been believed of the dust.
+                if !seen.fixed.is_empty() {
+                    (self.first, self.last_angle_rad) = (None, None);
+                    self.proof.unique = false;
+                }
+                self.proof.fixed.add(seen.fixed);
+                Ok(Progress::Continue)
+            }
+        }
+    }
+
+    /// How fast the view drifts, when it does for sure: it changed since the last frame, and nothing moved.
+    pub(crate) fn drifts(&mut self, task: &ServoTask<'_>, now: Passed) -> Option<f64> {
+        if !task.is_arrival() {
+            return None;
+        }
+        let before = self.resting.replace(now)?;
+        let way_um = [0, 1].map(|k| now.error.t_um()[k] - before.error.t_um()[k]);
+        let tolerance_um = task.options.position_px * task.view_calibration.um_per_px();
+        self.drift.take(
+            way_um,
+            now.time_s - before.time_s,
+            f64::hypot(now.sigma_um, before.sigma_um),
+            tolerance_um,
+        )
+    }
+}

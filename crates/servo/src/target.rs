@@ -1,0 +1,278 @@
+//! A saved view, and the saving: only what is seen to move with the stage counts, and what repeats itself is refused.
+
+use crate::aside::{Aside, Seen, step_aside};
+use crate::fixed::Place;
+use crate::kinematics::PlanarPose;
+use crate::procedure::{Procedure, Progress};
+use crate::vision::{features, grab, gray, same_objective};
+use crate::{FrameRole, ServoError, Sink, VisionOptions};
+use base64::Engine as _;
+use scopeservo_registration::likeness::Pair;
+use scopeservo_registration::{Contest, Prior, Rival, contest, find_rival, register};
+use scopeservo_scope::{ErrorKind, Instrument, ObjectiveId};
+use scopeservo_sift::{Features, GrayImage};
+use serde::{Deserialize, Serialize};
+
+/// Fewer features than this and a target cannot be told from others.
+pub(crate) const MIN_TARGET_FEATURES: usize = 30;
+
+/// A saved view: its features and what made it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Target {
+    /// The objective it was taken with.
+    pub objective: ObjectiveId,
+    /// Its features, made with the target settings; those fixed to the camera are left out when a step aside showed them.
+    pub features: Features,
+    /// Its luminance, to tell places that look alike from each other. Targets saved earlier lack it.
+    #[serde(default)]
+    pub picture: Option<Picture>,
+    /// How many of its features were seen to move with the stage; `None` when it was saved without moving, so that a run must
+    /// prove it.
+    #[serde(default)]
+    pub moved: Option<usize>,
+}
+
+impl Target {
+    /// Grabs the present view as a target without moving anything: nobody knows yet what of it belongs to the specimen.
+    ///
+    /// # Errors
+    /// Instrument and detector errors; [`ServoError::BadOption`] when no objective is in the beam.
+    pub fn save(
+        scope: &Instrument,
+        options: &VisionOptions,
+        sink: &mut dyn Sink,
+    ) -> Result<Self, ServoError> {
+        Ok(Self::grab(scope, options, sink)?.0)
+    }
+
+    fn grab(
+        scope: &Instrument,
+        options: &VisionOptions,
+        sink: &mut dyn Sink,
+    ) -> Result<(Self, GrayImage), ServoError> {
+        let objective = scope.gate().current_objective()?.ok_or_else(|| {
+            ServoError::BadOption("no objective is in the beam; select one and try again".into())
+        })?;
+        let frame = grab(scope, sink, FrameRole::Target, &objective)?;
+        let image = gray(&frame)?;
+        let target = Self {
+            objective,
+            features: features(&image, &options.target)?,
+            picture: Some(Picture::of(&image)),
+            moved: None,
+        };
+        Ok((target, image))
+    }
+}
+
+/// A grey picture in 8 bits, from its darkest to its brightest place.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Picture {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `width * height` bytes, row by row, in base64.
+    gray: String,
+}
+
+impl Picture {
+    fn of(image: &GrayImage) -> Self {
+        // Single hot and dead pixels must not set the range.
+        let mut sorted = image.data().to_vec();
+        let end = sorted.len() / 1000;
+        let low = *sorted.select_nth_unstable_by(end, f32::total_cmp).1;
+        let last = sorted.len() - 1 - end;
+        let high = *sorted.select_nth_unstable_by(last, f32::total_cmp).1;
+        let scale = 255.0 / (high - low).max(f32::MIN_POSITIVE);
+        let level = |v: &f32| ((v - low) * scale + 0.5).clamp(0.0, 255.0) as u8;
+        let bytes: Vec<u8> = image.data().iter().map(level).collect();
+        Self {
+            width: image.width(),
+            height: image.height(),
+            gray: base64::engine::general_purpose::STANDARD.encode(bytes),
+        }
+    }
+
+    /// The picture, 0 to 1; `None` when it was damaged.
+    pub fn image(&self) -> Option<GrayImage> {
+        let bytes = base64::engine::general_purpose::STANDARD.decode(&self.gray).ok()?;
+        let data = bytes.into_iter().map(|v| f32::from(v) / 255.0).collect();
+        GrayImage::new(self.width, self.height, data).ok()
+    }
+}
+
+/// How a target is saved.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct SaveOptions {
+    /// How to look.
+    pub vision: VisionOptions,
+    /// Nothing may move: then nobody knows what belongs to the specimen, and the run must prove it.
+    pub still: bool,
+    /// Size of a pixel, um, when it is known better than the objective's nominal one.
+    pub um_per_px: Option<f64>,
+}
+
+/// Saves the present view: a frame, a step aside that shows what moves with the stage, and back again.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SaveTarget {
+    options: SaveOptions,
+}
+
+impl SaveTarget {
+    /// Saves what is in view now.
+    pub fn new(options: SaveOptions) -> Self {
+        Self { options }
+    }
+
+    /// Leaves out what is fixed to the camera, counts what moves, and looks for places that are alike.
+    fn judge(&self, mut target: Target, image: &GrayImage, seen: &Seen) -> Result<Target, ServoError> {
+        let all = target.features.len();
+        let free = seen.fixed.without(&target.features).into_owned();
+        let moves = |k: &&scopeservo_sift::Keypoint| seen.parallax.of_keypoint(k) == Place::Moved;
+        let moved = free.keypoints.iter().filter(moves).count();
+        if moved < MIN_TARGET_FEATURES {
+            return Err(ServoError::PoorTarget {
+                features: all,
+                moved: Some(moved),
+                needed: MIN_TARGET_FEATURES,
+            });
+        }
+        target.features = free;
+        target.moved = Some(moved);
+        let second = seen.fixed_free();
+        let prior = Prior {
+            moved_px: Some(crate::fixed::LEAST_PX),
+            ..same_objective(0.05)
+        };
+        self.refuse_repetition(&target, image, (&seen.image, &second), &prior, |p| {
+            !seen.fixed.holds(p)
+        })?;
+        Ok(target)
+    }
+
+    /// A second frame registered to the target, as a run will do it.
+    fn refuse_repetition(
+        &self,
+        target: &Target,
+        image: &GrayImage,
+        (second, second_features): (&GrayImage, &Features),
+        prior: &Prior,
+        counts: impl Fn([f64; 2]) -> bool,
+    ) -> Result<(), ServoError> {
+        let options = &self.options.vision.registration;
+        let answer = register(second_features, &target.features, prior, options);
+        let Some(found) = answer.found() else {
+            return Ok(());
+        };
+        let without_identity = prior.moved_px.is_some();
+        let rival = find_rival(second_features, &target.features, &answer, prior, options, without_identity);
+        let Some(rival) = rival else { return Ok(()) };
+        let pair = Pair::new(second, image, 1.0);
+        match contest(&pair, &found.target_from_view, &rival, counts) {
+            Contest::First => Ok(()),
+            Contest::Second | Contest::Open => Err(ServoError::Repeats {
+                rival,
+                um_per_px: self.options.um_per_px,
+            }),
+        }
+    }
+}
+
+impl Seen {
+    /// The second frame's features that are not fixed to the camera.
+    fn fixed_free(&self) -> Features {
+        self.fixed.without(&self.features).into_owned()
+    }
+}
+
+impl Procedure for SaveTarget {
+    type Output = Target;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Target>, ServoError> {
+        let home = PlanarPose::from(&scope.gate().position()?);
+        let vision = &self.options.vision;
+        let (target, image) = Target::grab(scope, vision, sink)?;
+        let features_seen = target.features.len();
+        if features_seen < MIN_TARGET_FEATURES {
+            return Err(ServoError::PoorTarget {
+                features: features_seen,
+                moved: None,
+                needed: MIN_TARGET_FEATURES,
+            });
+        }
+        if self.options.still {
+            let frame = grab(scope, sink, FrameRole::Aside, &target.objective)?;
+            let second_image = gray(&frame)?;
+            let second = features(&second_image, &vision.view)?;
+            self.refuse_repetition(&target, &image, (&second_image, &second), &same_objective(0.05), |_| true)?;
+            return Ok(Progress::Done(target));
+        }
+        let nominal = scope.objective(&target.objective)?.nominal_um_per_px;
+        let um_per_px = self.options.um_per_px.unwrap_or(nominal);
+        let objective = target.objective.clone();
+        let stepped = step_aside(
+            scope,
+            sink,
+            (&objective, um_per_px),
+            vision,
+            (&image, &target.features),
+            &home,
+        );
+        // Back, also when a place was refused; a stage that failed or was stopped stays.
+        let stays = match &stepped {
+            Err(ServoError::Scope(error)) => error.kind() != ErrorKind::Refused,
+            _ => false,
+        };
+        if !stays {
+            scope.move_to(&home.request(&scope.gate().position()?))?;
+        }
+        match stepped? {
+            Aside::Nothing { moved_um } => Err(ServoError::NothingMoves {
+                objective,
+                moved_um,
+                features: features_seen,
+            }),
+            Aside::Seen(seen) => Ok(Progress::Done(self.judge(target, &image, &seen)?)),
+        }
+    }
+}
+
+/// What a rival is, for people: the way from one place to the other that looks like it.
+pub(crate) fn rival_in_words(rival: &Rival, um_per_px: Option<f64>) -> String {
+    let [x, y] = rival.shift_px;
+    let turned = match rival.turn_rad.to_degrees() {
+        deg if deg.abs() >= 0.5 => format!(", turned by {deg:.0} deg"),
+        _ => String::new(),
+    };
+    match um_per_px {
+        Some(um) => format!("{:.1}, {:.1} um ({x:.0}, {y:.0} px{turned})", x * um, y * um),
+        None => format!("{x:.0}, {y:.0} px{turned}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_comes_back_from_json_and_a_hot_pixel_does_not_set_its_range() {
+        let image = GrayImage::from_fn(50, 40, |x, y| match (x, y) {
+            (7, 7) => 90.0,
+            _ => 0.2 + 0.001 * (x + y) as f32,
+        })
+        .unwrap();
+        let picture = Picture::of(&image);
+        let json = serde_json::to_string(&picture).unwrap();
+        let back: Picture = serde_json::from_str(&json).unwrap();
+        assert_eq!(back, picture);
+        let shown = back.image().unwrap();
+        assert!(shown.get(40, 30) - shown.get(5, 5) > 0.5);
+        let damaged: Picture = serde_json::from_str(&json.replace("\"width\":50", "\"width\":51")).unwrap();
+        assert_eq!(damaged.image(), None);
+    }
+}
