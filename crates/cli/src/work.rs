@@ -12,8 +12,8 @@ use scopeservo_report as report;
 use scopeservo_scope::{Axis, Frame, Length, Objective, StagePose};
 use scopeservo_servo::{
     Bring, Calibrate, CalibrateOptions, Calibration, Event, FocusOptions, FocusResult, FrameRole,
-    Outcome, Reposition, RepositionOptions, ServoOptions, Sink, Stamped, Target, Verdict,
-    VisionOptions,
+    Outcome, Reposition, RepositionOptions, SaveOptions, SaveTarget, ServoOptions, Sink, Stamped,
+    Target, Verdict, VisionOptions,
 };
 use scopeservo_setup::Config;
 use serde_json::json;
@@ -212,7 +212,9 @@ impl Sink for LastFrame<'_> {
         self.watcher.event(event);
     }
     fn frame(&mut self, frame: &Frame, role: FrameRole) {
-        self.frame = Some(frame.clone());
+        if role == FrameRole::Target {
+            self.frame = Some(frame.clone());
+        }
         self.watcher.frame(frame, role);
     }
 }
@@ -230,8 +232,10 @@ pub(crate) fn save_target(args: &TargetSaveArgs) -> Result<bool, CliError> {
     let saved = (|| -> Result<(Target, StagePose), CliError> {
         let focus = args.focus.then(FocusOptions::default);
         bring(&desk, &objective, focus, &mut sink)?;
-        let target = Target::save(&desk.scope, &VisionOptions::default(), &mut sink)?;
-        Ok((target, desk.scope.gate().position()?))
+        let stage = desk.scope.gate().position()?;
+        let mut save = SaveTarget::new(SaveOptions::default());
+        let target = scopeservo_servo::run(&mut save, &desk.scope, &mut sink)?;
+        Ok((target, stage))
     })();
     let frame = sink.frame.take();
     watcher.finish();

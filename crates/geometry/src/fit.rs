@@ -350,8 +350,8 @@ fn congruence(l: &[[f64; 3]; 3], m: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     std::array::from_fn(|i| std::array::from_fn(|j| dot3(&lm[i], &l[j])))
 }
 
-struct SimilaritySolution {
-    b_from_a: Affine2,
+pub(crate) struct SimilaritySolution {
+    pub(crate) b_from_a: Affine2,
     similarity: Similarity,
     mean_a: Vec2,
     /// Weighted sum of squared distances from `mean_a`.
@@ -362,7 +362,7 @@ struct SimilaritySolution {
 
 /// Least squares similarity over `(p_in_a, p_in_b, weight)` (Umeyama 1991, in the plane closed form). `None` without two distinct
 /// points.
-fn solve_similarity(
+pub(crate) fn solve_similarity(
     points: impl Iterator<Item = (Vec2, Vec2, f64)> + Clone,
 ) -> Option<SimilaritySolution> {
     let (mean_a, mean_b, total) = centroids(points.clone());

@@ -1,7 +1,7 @@
 //! Locally optimised RANSAC (Chum, Matas, Kittler 2003) with the MSAC cost (Torr, Zisserman 2000). The loop knows no
 //! geometry: a [`Problem`] makes models from samples and measures residuals.
 
-use crate::fit::solve;
+use crate::fit::{solve, solve_similarity};
 use crate::{Affine2, Correspondence, SplitMix64, affine_from_3, similarity_from_oriented};
 
 /// What the loop needs to know of a problem.
@@ -272,6 +272,19 @@ impl Columns {
         let fit = solve(inliers.iter().map(|&i| point(i)))?.b_from_a;
         possible(&fit).then_some(fit)
     }
+
+    fn refine_similar(
+        &self,
+        inliers: &[usize],
+        possible: &dyn Fn(&Affine2) -> bool,
+    ) -> Option<Affine2> {
+        let point = |&i: &usize| {
+            let (a, b) = (&self.a, &self.b);
+            ([a[0][i], a[1][i]], [b[0][i], b[1][i]], 1.0)
+        };
+        let fit = solve_similarity(inliers.iter().map(point))?.b_from_a;
+        possible(&fit).then_some(fit)
+    }
 }
 
 /// The paper's problem: an affine transform from three correspondences.
@@ -324,6 +337,7 @@ pub struct OrientedProblem<'a> {
     oriented: &'a [[f64; 4]],
     columns: Columns,
     possible: &'a dyn Fn(&Affine2) -> bool,
+    similar: bool,
 }
 
 impl<'a> OrientedProblem<'a> {
@@ -338,7 +352,15 @@ impl<'a> OrientedProblem<'a> {
             oriented,
             columns: Columns::of(correspondences),
             possible,
+            similar: false,
         }
+    }
+
+    /// The same for a similarity: data near a line leave an affine transform open, and a similarity not.
+    #[must_use]
+    pub fn similar(mut self) -> Self {
+        self.similar = true;
+        self
     }
 }
 
@@ -360,7 +382,10 @@ impl Problem for OrientedProblem<'_> {
             .map(Affine2::from)
     }
     fn refine(&self, inliers: &[usize]) -> Option<Affine2> {
-        self.columns.refine(inliers, self.possible)
+        match self.similar {
+            true => self.columns.refine_similar(inliers, self.possible),
+            false => self.columns.refine(inliers, self.possible),
+        }
     }
     fn residuals_sq(&self, model: &Affine2, first: usize, out: &mut [f64]) {
         self.columns.residuals_sq(model, first, out);

@@ -14,6 +14,8 @@ mod rival;
 pub mod significance;
 
 pub use correspond::{Prior, RotationPrior, ScalePrior, correspondences};
-pub use register::{Estimate, Matched, Method, NotFound, Options, Registration, register, register_matches};
 pub use pictures::{Allow, PictureVerdict, register_pictures};
+pub use register::{
+    Estimate, Matched, Method, NotFound, Options, Registration, register, register_matches,
+};
 pub use rival::{Contest, Rival, contest, find_rival};

@@ -16,6 +16,9 @@ const EXPLAINED: f64 = 0.75;
 /// and tells two transforms apart when it correlates under the other by this much less.
 const APART: f64 = 0.35;
 
+/// Less variance than this is rounding, for values from 0 to 1.
+const LEAST_VARIANCE: f64 = 1e-12;
+
 /// A picture made ready for comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plane {
@@ -105,7 +108,8 @@ impl Likeness {
     }
 }
 
-/// Compares the square of half side `radius` around a pixel of `a` with `b`. `None` when it is not whole in both.
+/// Compares the square of half side `radius` around a pixel of `a` with `b`, as far as it lies in both. `None` when that is less than
+/// half of it.
 pub fn likeness(
     a: &Plane,
     b: &Plane,
@@ -114,24 +118,29 @@ pub fn likeness(
     radius: usize,
 ) -> Option<Likeness> {
     let [x, y] = centre;
-    if x < radius || y < radius || x + radius >= a.width || y + radius >= a.height {
-        return None;
-    }
-    let mut sums = [0.0f64; 5];
-    for row in y - radius..=y + radius {
-        for column in x - radius..=x + radius {
+    let rows = y.saturating_sub(radius)..(y + radius + 1).min(a.height);
+    let columns = x.saturating_sub(radius)..(x + radius + 1).min(a.width);
+    let (mut sums, mut count) = ([0.0f64; 5], 0usize);
+    for row in rows {
+        for column in columns.clone() {
+            let Some(vb) = b.at(b_from_a.apply([column as f64, row as f64])) else {
+                continue;
+            };
             let va = f64::from(a.data[row * a.width + column]);
-            let vb = b.at(b_from_a.apply([column as f64, row as f64]))?;
+            count += 1;
             for (sum, v) in sums.iter_mut().zip([va, vb, va * va, vb * vb, va * vb]) {
                 *sum += v;
             }
         }
     }
-    let n = ((2 * radius + 1) * (2 * radius + 1)) as f64;
-    let [ma, mb, aa, bb, ab] = sums.map(|s| s / n);
+    let whole = (2 * radius + 1) * (2 * radius + 1);
+    if 2 * count < whole {
+        return None;
+    }
+    let [ma, mb, aa, bb, ab] = sums.map(|s| s / count as f64);
     let (variance_a, variance_b) = ((aa - ma * ma).max(0.0), (bb - mb * mb).max(0.0));
     let product = (variance_a * variance_b).sqrt();
-    let correlation = match product > 1e-15 {
+    let correlation = match product > LEAST_VARIANCE {
         true => (ab - ma * mb) / product,
         false => 0.0,
     };
@@ -226,7 +235,7 @@ impl Pair {
             let (Some(one), Some(two)) = (one, two) else {
                 continue;
             };
-            if one.variance < STRUCTURED * noise || !counts(*place) {
+            if one.variance <= (STRUCTURED * noise).max(LEAST_VARIANCE) || !counts(*place) {
                 continue;
             }
             found.structured += 1;

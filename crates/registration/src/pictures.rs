@@ -2,7 +2,9 @@
 //! pictures alone.
 
 use crate::likeness::Pair;
-use crate::{Contest, Estimate, NotFound, Options, Prior, Registration, Rival, contest, find_rival, register};
+use crate::{
+    Contest, Estimate, NotFound, Options, Prior, Registration, Rival, contest, find_rival, register,
+};
 use scopeservo_geometry::{Affine2, Mat2, Vec2};
 use scopeservo_sift::{Features, GrayImage, Sift, SiftError};
 
@@ -124,7 +126,14 @@ fn judge(
             return PictureVerdict::Suspect { estimate, share };
         }
     }
-    if let Some(rival) = find_rival(view_features, target_features, answer, prior, options, false) {
+    if let Some(rival) = find_rival(
+        view_features,
+        target_features,
+        answer,
+        prior,
+        options,
+        false,
+    ) {
         let decided = contest(&pair, &transform, &rival, |_| true);
         // What decides may itself be fixed to the camera.
         let undecidable = stays && !equal && repeats(&pair, &transform, &rival);

@@ -252,22 +252,17 @@ pub fn register_matches(
     let coarse_px = typical_ratio.max(1.0);
     let threshold = options.threshold_px * coarse_px;
 
-    let Some(rough) = search(view, target, matches, pairs, prior, options, threshold) else {
-        return no_agreement();
+    let fit = |shape| {
+        fitted(
+            view, target, matches, pairs, prior, options, threshold, shape,
+        )
     };
-    let coherent = coherence(&rough.model);
-    let chosen: Vec<Correspondence> = rough
-        .inliers
-        .iter()
-        .filter(|&&i| {
-            let Match { query, train, .. } = matches[i];
-            coherent(&view.keypoints[query], &target.keypoints[train])
-        })
-        .map(|&i| pairs[i])
-        .collect();
-    let fit = match fit_affine_robust(&chosen) {
-        Some(fit) if prior.allows(&fit.b_from_a) => fit,
-        _ => return no_agreement(),
+    // Places near a line leave an affine transform open, and a similarity not.
+    let by_affine = fit(Shape::Affine).map(|fit| (fit, AFFINE_SAMPLE, 2.0));
+    let Some((fit, sample, kinds)) =
+        by_affine.or_else(|| Some((fit(Shape::Similarity)?, SIMILARITY_SAMPLE, 3.0)))
+    else {
+        return no_agreement();
     };
 
     // The verdict, on unique places: the best-fitting match of each neighbourhood stands for it.
@@ -297,9 +292,9 @@ pub fn register_matches(
             .map(|k| [f64::from(k.x), f64::from(k.y)]),
         20.0,
     );
-    // The least probable of three radii and two kinds of transform counts; having tried six costs a factor of six.
+    // The least probable of three radii and so many kinds of transform counts; having tried six costs a factor of six.
     let radii = [threshold, threshold / 2.0, threshold / 4.0];
-    let tried = (2.0 * radii.len() as f64).log10();
+    let tried = (kinds * radii.len() as f64).log10();
     let least = |sample: usize, within: &dyn Fn(f64) -> usize| {
         let nfa = |&r: &f64| {
             let chance = std::f64::consts::PI * r * r / area * prior.chance_of_coherence();
@@ -307,10 +302,11 @@ pub fn register_matches(
         };
         radii.iter().map(nfa).fold(f64::INFINITY, f64::min)
     };
-    let (mut fit, mut nfa) = (fit, least(AFFINE_SAMPLE, &within));
+    let (mut fit, mut nfa) = (fit, least(sample, &within));
     let mut agreeing: Vec<usize> = places[..within(threshold)].iter().map(|p| p.1).collect();
     let limit = options.false_alarms.log10();
     if nfa >= limit
+        && sample == AFFINE_SAMPLE
         && let Some(similar) = similar(view, target, matches, pairs, &places, &agreeing)
         && prior.allows(&similar.fit.b_from_a)
     {
@@ -431,6 +427,49 @@ fn keypoints<'a>(
         .map(|m| (&view.keypoints[m.query], &target.keypoints[m.train]))
 }
 
+/// What is fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Shape {
+    Affine,
+    Similarity,
+}
+
+/// The search and the robust fit to what agrees, when a possible transform comes out.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "all that a registration knows, and it is asked twice"
+)]
+fn fitted(
+    view: &Features,
+    target: &Features,
+    matches: &[Match],
+    pairs: &[Correspondence],
+    prior: &Prior,
+    options: &Options,
+    threshold: f64,
+    shape: Shape,
+) -> Option<AffineFit> {
+    let rough = search(
+        view, target, matches, pairs, prior, options, threshold, shape,
+    )?;
+    let coherent = coherence(&rough.model);
+    let chosen: Vec<Correspondence> = rough
+        .inliers
+        .iter()
+        .filter(|&&i| {
+            let Match { query, train, .. } = matches[i];
+            coherent(&view.keypoints[query], &target.keypoints[train])
+        })
+        .map(|&i| pairs[i])
+        .collect();
+    let fit = match shape {
+        Shape::Affine => fit_affine_robust(&chosen),
+        Shape::Similarity => fit_similarity_robust(&chosen, ANISOTROPY),
+    };
+    fit.filter(|fit| prior.allows(&fit.b_from_a))
+}
+
+#[expect(clippy::too_many_arguments, reason = "as above")]
 fn search(
     view: &Features,
     target: &Features,
@@ -439,6 +478,7 @@ fn search(
     prior: &Prior,
     options: &Options,
     threshold: f64,
+    shape: Shape,
 ) -> Option<RobustFit<Affine2>> {
     let possible = |m: &Affine2| prior.allows(m);
     let ransac = RansacOptions {
@@ -446,14 +486,18 @@ fn search(
         seed: options.seed,
         ..RansacOptions::default()
     };
-    match options.method {
-        Method::ThreePoint => lo_ransac(&AffineProblem::new(pairs, &possible), &ransac),
-        Method::Oriented => {
-            let oriented: Vec<[f64; 4]> = keypoints(view, target, matches)
-                .map(|(v, t)| [v.sigma, t.sigma, v.angle, t.angle].map(f64::from))
-                .collect();
-            lo_ransac(&OrientedProblem::new(pairs, &oriented, &possible), &ransac)
-        }
+    if options.method == Method::ThreePoint {
+        // The paper's way knows no similarity.
+        let affine = shape == Shape::Affine;
+        return affine.then(|| lo_ransac(&AffineProblem::new(pairs, &possible), &ransac))?;
+    }
+    let oriented: Vec<[f64; 4]> = keypoints(view, target, matches)
+        .map(|(v, t)| [v.sigma, t.sigma, v.angle, t.angle].map(f64::from))
+        .collect();
+    let problem = OrientedProblem::new(pairs, &oriented, &possible);
+    match shape {
+        Shape::Affine => lo_ransac(&problem, &ransac),
+        Shape::Similarity => lo_ransac(&problem.similar(), &ransac),
     }
 }
 

@@ -18,7 +18,10 @@ pub(crate) fn section(r: &Report<'_>, title: &str) -> String {
         ),
         Some(Verdict::Refused) => ("refused", "M12 12l16 16M28 12l-16 16"),
         // Two that look the same.
-        Some(Verdict::Ambiguous) => ("refused", "M9 20a5 5 0 1 0 10 0a5 5 0 1 0-10 0M21 20a5 5 0 1 0 10 0a5 5 0 1 0-10 0"),
+        Some(Verdict::Ambiguous) => (
+            "refused",
+            "M9 20a5 5 0 1 0 10 0a5 5 0 1 0-10 0M21 20a5 5 0 1 0 10 0a5 5 0 1 0-10 0",
+        ),
         None => ("unfinished", "M12 20h.2M20 20h.2M28 20h.2"),
     };
     let message = outcome.map_or_else(

@@ -9,8 +9,10 @@ use scopeservo_geometry::Vec2;
 use scopeservo_scope::{Axis, Instrument, ObjectiveId, ScopeError};
 use scopeservo_sift::{Features, GrayImage};
 
-/// So far the view must be seen to move, pixels: what stays and what moves is then told apart without doubt. Also the first step.
+/// So far the view must be seen to move, pixels: what stays and what moves is then told apart without doubt.
 pub(crate) const SEEN_PX: f64 = 12.0;
+/// The first step, pixels: a little more, for a view that was a pixel off and a scale that is only nominal.
+const FIRST_STEP_PX: f64 = 14.0;
 /// The step doubles up to this share of the shorter side: play in the drive may swallow a small one.
 const LONGEST_SHARE: f64 = 0.25;
 
@@ -36,9 +38,9 @@ pub(crate) struct Seen {
 /// The steps to try, pixels.
 fn steps(shorter_px: usize) -> Vec<f64> {
     let longest = LONGEST_SHARE * shorter_px as f64;
-    let doubling = std::iter::successors(Some(SEEN_PX), |s| Some(2.0 * s));
+    let doubling = std::iter::successors(Some(FIRST_STEP_PX), |s| Some(2.0 * s));
     let mut steps: Vec<f64> = doubling.take_while(|s| *s < longest).collect();
-    steps.push(longest.max(SEEN_PX));
+    steps.push(longest.max(FIRST_STEP_PX));
     steps
 }
 
@@ -68,10 +70,18 @@ pub(crate) fn step_aside(
         let frame = grab(scope, sink, FrameRole::Aside, objective)?;
         let image = gray(&frame)?;
         let second = features(&image, &vision.view)?;
-        let seen = Parallax::of((first, first_features), (&image, &second), &vision.registration);
-        let seen_px = seen.as_ref().map(|s| s.motion_px(image.width(), image.height()));
-        let enough = seen.filter(|_| seen_px.is_some_and(|px| px >= SEEN_PX - 1.0));
-        let fixed = enough.as_ref().map(|parallax| parallax.fixed(first_features));
+        let seen = Parallax::of(
+            (first, first_features),
+            (&image, &second),
+            &vision.registration,
+        );
+        let seen_px = seen
+            .as_ref()
+            .map(|s| s.motion_px(image.width(), image.height()));
+        let enough = seen.filter(|_| seen_px.is_some_and(|px| px >= SEEN_PX));
+        let fixed = enough
+            .as_ref()
+            .map(|parallax| parallax.fixed(first_features));
         let event = Event::SteppedAside {
             objective: objective.clone(),
             step_px,
@@ -114,8 +124,8 @@ mod tests {
 
     #[test]
     fn steps_double_up_to_a_quarter_of_the_shorter_side() {
-        assert_eq!(steps(480), [12.0, 24.0, 48.0, 96.0, 120.0]);
-        assert_eq!(steps(300), [12.0, 24.0, 48.0, 75.0]);
-        assert_eq!(steps(32), [12.0]);
+        assert_eq!(steps(480), [14.0, 28.0, 56.0, 112.0, 120.0]);
+        assert_eq!(steps(300), [14.0, 28.0, 56.0, 75.0]);
+        assert_eq!(steps(32), [14.0]);
     }
 }

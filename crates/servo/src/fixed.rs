@@ -85,13 +85,17 @@ impl Parallax {
     /// Judges a keypoint of the first frame.
     pub(crate) fn of_keypoint(&self, k: &Keypoint) -> Place {
         let radius = (RADIUS_SIGMAS * f64::from(k.sigma)).clamp(RADIUS[0], RADIUS[1]);
-        self.judge([k.x, k.y].map(|v| v.round().max(0.0) as usize), radius as usize)
+        self.judge(
+            [k.x, k.y].map(|v| v.round().max(0.0) as usize),
+            radius as usize,
+        )
     }
 
     /// All places that stayed, of a grid over the picture and of its features.
     pub(crate) fn fixed(&self, features: &Features) -> FixedPlaces {
         let mut places = Vec::new();
-        let along = |side: usize| (GRID_RADIUS..side.saturating_sub(GRID_RADIUS)).step_by(GRID_STEP);
+        let along =
+            |side: usize| (GRID_RADIUS..side.saturating_sub(GRID_RADIUS)).step_by(GRID_STEP);
         for y in along(features.height) {
             for x in along(features.width) {
                 if self.judge([x, y], GRID_RADIUS) == Place::Stayed {
@@ -99,8 +103,11 @@ impl Parallax {
                 }
             }
         }
-        let stayed = features.keypoints.iter().filter(|k| self.of_keypoint(k) == Place::Stayed);
-        places.extend(stayed.map(|k| [k.x, k.y, (2.0 * k.sigma).max(4.0)]));
+        let stayed = features
+            .keypoints
+            .iter()
+            .filter(|k| self.of_keypoint(k) == Place::Stayed);
+        places.extend(stayed.map(place_of));
         FixedPlaces {
             width: features.width,
             height: features.height,
@@ -115,6 +122,11 @@ pub struct FixedPlaces {
     width: usize,
     height: usize,
     places: Vec<[f32; 3]>,
+}
+
+/// A keypoint's place: what lies so near to it is part of the same thing.
+fn place_of(k: &Keypoint) -> [f32; 3] {
+    [k.x, k.y, (2.0 * k.sigma).max(4.0)]
 }
 
 impl FixedPlaces {
@@ -132,6 +144,16 @@ impl FixedPlaces {
     pub(crate) fn add(&mut self, other: FixedPlaces) {
         (self.width, self.height) = (other.width, other.height);
         self.places.extend(other.places);
+    }
+
+    /// Adds places of keypoints that turned out not to move with the specimen.
+    pub(crate) fn add_keypoints<'a>(
+        &mut self,
+        features: &Features,
+        keypoints: impl Iterator<Item = &'a Keypoint>,
+    ) {
+        (self.width, self.height) = (features.width, features.height);
+        self.places.extend(keypoints.map(place_of));
     }
 
     /// Whether a place of the picture is one of them.

@@ -9,7 +9,7 @@ use scopeservo_geometry::{Affine2, Correspondence, Vec2};
 use scopeservo_registration::{Estimate, Matched, Options, Prior, Registration, register_matches};
 use scopeservo_sift::{Features, Match};
 use serde::{Deserialize, Serialize};
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 
 /// So many frames from elsewhere are kept: the latest.
 const WITNESSES: usize = 3;
@@ -21,6 +21,22 @@ const AGREE_SIGMAS: f64 = 3.0;
 const AGREE_PX: f64 = 0.05;
 /// A view that follows a move by less than this share does not follow.
 const FOLLOWS: f64 = 0.25;
+
+/// A place that lies so far from where the places that moved put it does not belong to them, pixels of the coarser picture.
+const BENT_PX: f64 = 1.0;
+
+/// What the places that moved with the specimen prove.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Proved {
+    /// The transform of all places.
+    Same,
+    /// Another transform.
+    Other(Box<Estimate>),
+    /// Another transform, and places that are fixed to the camera bent that of all: they are left out from now on.
+    Bent,
+    /// Nothing: too few moved.
+    Nothing,
+}
 
 /// A frame of the target's own leg from elsewhere: where in the view each place of the target was.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -56,7 +72,12 @@ impl Proof {
     }
 
     /// Keeps a frame that was taken far enough from the goal.
-    pub(crate) fn witness(&mut self, target_from_view: &Affine2, registration: &Registration, centre: Vec2) {
+    pub(crate) fn witness(
+        &mut self,
+        target_from_view: &Affine2,
+        registration: &Registration,
+        centre: Vec2,
+    ) {
         if far_from_goal(target_from_view, centre) {
             self.witnesses.push(Witness {
                 places: registration.pairs.clone(),
@@ -66,47 +87,72 @@ impl Proof {
         }
     }
 
-    /// Whether the agreeing places that moved say the same as all of them.
-    pub(crate) fn holds(
-        &self,
+    /// What the agreeing places that moved say, without the others.
+    pub(crate) fn judge(
+        &mut self,
         (view, target): (&Features, &Features),
         matched: &Matched,
         estimate: &Estimate,
         prior: &Prior,
         options: &Options,
-    ) -> bool {
+    ) -> Proved {
         let seen_at = self.places_seen();
         let moved = |[query, train]: [usize; 2]| {
             let (v, t) = (&view.keypoints[query], &target.keypoints[train]);
             let before = seen_at.get(&key(t.x, t.y));
             before.is_some_and(|all| {
-                all.iter().any(|p| f64::from(f32::hypot(v.x - p[0], v.y - p[1])) > LEAST_PX)
+                all.iter()
+                    .any(|p| f64::from(f32::hypot(v.x - p[0], v.y - p[1])) > LEAST_PX)
             })
         };
-        let unproven: HashSet<[usize; 2]> = matched
-            .registration
-            .agreeing
-            .iter()
-            .copied()
-            .filter(|pair| !moved(*pair))
-            .collect();
+        // What agrees with the transform, twins of a place included, must have been seen elsewhere; the rest may say what it likes.
+        let coarse_px = estimate.target_from_view.linear.det().abs().sqrt().max(1.0);
+        let agrees = |c: &Correspondence| {
+            let q = estimate.target_from_view.apply(c.p_in_a);
+            f64::hypot(q[0] - c.p_in_b[0], q[1] - c.p_in_b[1])
+                <= 2.0 * options.threshold_px * coarse_px
+        };
         let (matches, pairs): (Vec<Match>, Vec<Correspondence>) = matched
             .matches
             .iter()
             .zip(&matched.pairs)
-            .filter(|(m, _)| !unproven.contains(&[m.query, m.train]))
+            .filter(|(m, c)| !agrees(c) || moved([m.query, m.train]))
             .map(|(m, c)| (*m, *c))
             .unzip();
         let again = register_matches(view, target, prior, options, &matches, &pairs);
-        let Some(found) = again.found() else { return false };
+        let Some(found) = again.found() else {
+            return Proved::Nothing;
+        };
         let centre = crate::vision::centre_px(view.width, view.height);
-        let (a, b) = (
+        let off = |p: Vec2, q: Vec2| f64::hypot(p[0] - q[0], p[1] - q[1]);
+        let apart = off(
             estimate.target_from_view.apply(centre),
             found.target_from_view.apply(centre),
         );
-        let coarse_px = estimate.target_from_view.linear.det().abs().sqrt().max(1.0);
-        let allowed = AGREE_SIGMAS * f64::hypot(found.sigma_px, estimate.sigma_px) + AGREE_PX * coarse_px;
-        f64::hypot(a[0] - b[0], a[1] - b[1]) <= allowed
+        let allowed =
+            AGREE_SIGMAS * f64::hypot(found.sigma_px, estimate.sigma_px) + AGREE_PX * coarse_px;
+        if apart <= allowed {
+            return Proved::Same;
+        }
+        // What bent the transform lies elsewhere by the places that moved: it is fixed to the camera.
+        let bends = |pair: &&[usize; 2]| {
+            let (v, t) = (&view.keypoints[pair[0]], &target.keypoints[pair[1]]);
+            let here = found.target_from_view.apply([v.x, v.y].map(f64::from));
+            !moved(**pair) && off(here, [t.x, t.y].map(f64::from)) > BENT_PX * coarse_px
+        };
+        let bent: Vec<usize> = matched
+            .registration
+            .agreeing
+            .iter()
+            .filter(bends)
+            .map(|p| p[0])
+            .collect();
+        if bent.is_empty() {
+            return Proved::Other(Box::new(found.clone()));
+        }
+        self.fixed
+            .add_keypoints(view, bent.iter().map(|&i| &view.keypoints[i]));
+        Proved::Bent
     }
 
     /// Where in the views of the witnesses each place of the target was.
@@ -156,7 +202,13 @@ const ONE_WAY: f64 = 0.85;
 
 impl Drift {
     /// Takes how far the view went by itself in `seconds`, known to `sigma_um`; tells the speed when it drifts for sure.
-    pub(crate) fn take(&mut self, way_um: Vec2, seconds: f64, sigma_um: f64, tolerance_um: f64) -> Option<f64> {
+    pub(crate) fn take(
+        &mut self,
+        way_um: Vec2,
+        seconds: f64,
+        sigma_um: f64,
+        tolerance_um: f64,
+    ) -> Option<f64> {
         let way = f64::hypot(way_um[0], way_um[1]);
         // More than three sigmas, and half the tolerance in a second.
         if seconds <= 0.0 || way <= 3.0 * sigma_um || way <= 0.5 * tolerance_um * seconds {
@@ -221,6 +273,9 @@ mod tests {
         proof.moving([30.0, 0.0], 8.0);
         assert!(!proof.does_not_follow([22.0, 0.0], 0.5));
         proof.moving([30.0, 0.0], 2.0);
-        assert!(!proof.does_not_follow([30.0, 0.0], 0.5), "too short to be seen");
+        assert!(
+            !proof.does_not_follow([30.0, 0.0], 0.5),
+            "too short to be seen"
+        );
     }
 }

@@ -415,8 +415,7 @@ impl Reposition {
             verdict,
             reason,
             message,
-            estimated_error_um: last
-                .map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
+            estimated_error_um: last.map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
             estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
             magnifications: self.done.clone(),
         }

@@ -8,7 +8,7 @@ use crate::control::motion_of;
 use crate::event::tell;
 use crate::procedure::Progress;
 use crate::proof::{Drift, Proof};
-use crate::sight::Sight;
+use crate::sight::{Belief, Sight};
 use crate::vision::{centre_px, features, grab, gray};
 use crate::{
     Calibration, Event, FrameRole, PlanarPose, PoseError, ServoError, Sink, Target, VisionOptions,
@@ -230,13 +230,16 @@ impl Servo {
         self.lost_in_a_row = 0;
         self.last_angle_rad = estimate.target_from_view.linear.rotation_angle();
         // Homography and pose error.
-        let Some(error) = pose_error(
-            &estimate.target_from_view,
-            task.view_calibration,
-            task.target_calibration,
-            centre_px(frame.width, frame.height),
-            centre_px(target.width, target.height),
-        ) else {
+        let error_of = |estimate: &Estimate| {
+            pose_error(
+                &estimate.target_from_view,
+                task.view_calibration,
+                task.target_calibration,
+                centre_px(frame.width, frame.height),
+                centre_px(target.width, target.height),
+            )
+        };
+        let Some(error) = error_of(&estimate) else {
             let reason = NotFound::NoAgreement {
                 matches: registration.matches,
             };
@@ -244,7 +247,10 @@ impl Servo {
         };
         // Control.
         let turns = scope.gate().info().axis(Axis::Rz).is_some();
-        let converged = passes(&error, &estimate, turns, task);
+        let passes = |estimate: &Estimate| {
+            error_of(estimate).is_some_and(|error| passes(&error, estimate, turns, task))
+        };
+        let converged = passes(&estimate);
         let mut velocity = control_law(&error, task.options.lambda);
         if !turns {
             velocity.theta_rad = 0.0;
@@ -276,10 +282,19 @@ impl Servo {
         if let Some(end) = self.ambiguity(task, &sight, &estimate, converged) {
             return Ok(Progress::Done(end));
         }
-        if self.owes_a_step_aside(task, &sight, &estimate, &error, converged) {
-            self.iteration += 1;
-            let last = self.result(task, error, &matched.registration, &estimate);
-            return self.step_aside(task, scope, sink, &sight, &present, last);
+        let test: &dyn Fn(&Estimate) -> bool = &passes;
+        match self.belief(task, &sight, &estimate, &error, converged.then_some(test)) {
+            Belief::Specimen => {}
+            Belief::LookAgain => {
+                self.passed.clear();
+                self.iteration += 1;
+                return Ok(Progress::Continue);
+            }
+            Belief::Unknown => {
+                self.iteration += 1;
+                let last = self.result(task, error, registration, &estimate);
+                return self.step_aside(task, scope, sink, &sight, &present, last);
+            }
         }
         let now = Passed {
             error,
@@ -290,7 +305,7 @@ impl Servo {
             let last = self.result(task, error, registration, &estimate);
             return Ok(Progress::Done(ServoEnd::Drifting { um_per_s, last }));
         }
-        if let Some(end) = self.judge(task, now, converged, registration, &estimate) {
+        if let Some(end) = self.judge(task, now, (converged, turns), registration, &estimate) {
             return Ok(Progress::Done(end));
         }
         // Stage. A frame that passes is confirmed by the next one from the same place.
@@ -326,7 +341,7 @@ impl Servo {
         &mut self,
         task: &ServoTask<'_>,
         now: Passed,
-        converged: bool,
+        (converged, turns): (bool, bool),
         registration: &Registration,
         estimate: &Estimate,
     ) -> Option<ServoEnd> {
@@ -346,13 +361,28 @@ impl Servo {
         let far = 10.0 * task.view_calibration.um_per_px() * 1e-6;
         if self.passed.len() >= options.confirmations.max(1) {
             let passed: Vec<PoseError> = self.passed.iter().map(|p| p.error).collect();
-            Some(ServoEnd::Converged(self.result(task, mean(&passed), registration, estimate)))
+            Some(ServoEnd::Converged(self.result(
+                task,
+                mean(&passed),
+                registration,
+                estimate,
+            )))
         } else if grown(distance_m, first.distance_um() * 1e-6, far)
-            || grown(error.angle_deg(), first.angle_deg(), 0.5)
+            || turns && grown(error.angle_deg(), first.angle_deg(), 0.5)
         {
-            Some(ServoEnd::Diverged(self.result(task, error, registration, estimate)))
+            Some(ServoEnd::Diverged(self.result(
+                task,
+                error,
+                registration,
+                estimate,
+            )))
         } else if self.iteration + 1 >= options.max_iterations {
-            Some(ServoEnd::IterationLimit(self.result(task, error, registration, estimate)))
+            Some(ServoEnd::IterationLimit(self.result(
+                task,
+                error,
+                registration,
+                estimate,
+            )))
         } else {
             None
         }

@@ -2,7 +2,7 @@
 
 use crate::aside::{Aside, step_aside};
 use crate::procedure::Progress;
-use crate::proof::far_from_goal;
+use crate::proof::{Proved, far_from_goal};
 use crate::servo::{Passed, ServoEnd, ServoResult, ServoTask};
 use crate::vision::centre_px;
 use crate::{PlanarPose, PoseError, Servo, ServoError, Sink};
@@ -28,6 +28,17 @@ pub(crate) struct Sight<'a> {
     pub(crate) target: &'a Features,
     pub(crate) matched: &'a Matched,
     pub(crate) prior: &'a Prior,
+}
+
+/// What is believed of the places that agree.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Belief {
+    /// They are the specimen.
+    Specimen,
+    /// Some were not, and are left out from now on.
+    LookAgain,
+    /// Nobody knows: a step aside will show it.
+    Unknown,
 }
 
 impl Servo {
@@ -95,34 +106,44 @@ impl Servo {
         (decided != Contest::First).then_some(rival)
     }
 
-    /// Whether this frame must be proved by a step aside: it passes, and what agrees was not seen to move; or the view does not follow the
-    /// stage.
-    pub(crate) fn owes_a_step_aside(
+    /// Whether what agrees in this frame is known to be the specimen, where that matters: in a frame that passes, and in one that did not
+    /// follow the stage.
+    pub(crate) fn belief(
         &mut self,
         task: &ServoTask<'_>,
         sight: &Sight<'_>,
         estimate: &Estimate,
         error: &PoseError,
-        converged: bool,
-    ) -> bool {
+        passes: Option<&dyn Fn(&Estimate) -> bool>,
+    ) -> Belief {
         if !task.is_arrival() {
-            return false;
+            return Belief::Specimen;
         }
-        let registration = &sight.matched.registration;
-        let centre = centre_px(sight.view.width, sight.view.height);
         let um_per_px = task.target_calibration.um_per_px();
         let stays = self.proof.does_not_follow(error.t_um(), um_per_px);
-        if converged {
-            return !self.proof.holds(
-                (sight.view, sight.target),
-                sight.matched,
-                estimate,
-                sight.prior,
-                &task.vision.registration,
-            );
+        let Some(passes) = passes else {
+            let centre = centre_px(sight.view.width, sight.view.height);
+            let registration = &sight.matched.registration;
+            self.proof
+                .witness(&estimate.target_from_view, registration, centre);
+            return match stays && self.proof.may_step_aside() {
+                true => Belief::Unknown,
+                false => Belief::Specimen,
+            };
+        };
+        let proved = self.proof.judge(
+            (sight.view, sight.target),
+            sight.matched,
+            estimate,
+            sight.prior,
+            &task.vision.registration,
+        );
+        match proved {
+            Proved::Same => Belief::Specimen,
+            Proved::Other(other) if passes(&other) => Belief::Specimen,
+            Proved::Bent => Belief::LookAgain,
+            Proved::Other(_) | Proved::Nothing => Belief::Unknown,
         }
-        self.proof.witness(&estimate.target_from_view, registration, centre);
-        stays && self.proof.may_step_aside()
     }
 
     /// Steps aside once, and goes on from there; what stays is left out from now on.
@@ -150,13 +171,12 @@ impl Servo {
             &PlanarPose::from(present),
         )?;
         match aside {
-            Aside::Nothing { moved_um } => {
-                Ok(Progress::Done(ServoEnd::NothingMoves { moved_um }))
-            }
+            Aside::Nothing { moved_um } => Ok(Progress::Done(ServoEnd::NothingMoves { moved_um })),
             Aside::Seen(seen) => {
-                // What was believed so far may have been believed of the dust.
+                // The error begins anew from here; and what was believed so far may have been believed of the dust.
+                self.first = None;
                 if !seen.fixed.is_empty() {
-                    (self.first, self.last_angle_rad) = (None, None);
+                    self.last_angle_rad = None;
                     self.proof.unique = false;
                 }
                 self.proof.fixed.add(seen.fixed);

@@ -96,7 +96,9 @@ impl Picture {
 
     /// The picture, 0 to 1; `None` when it was damaged.
     pub fn image(&self) -> Option<GrayImage> {
-        let bytes = base64::engine::general_purpose::STANDARD.decode(&self.gray).ok()?;
+        let bytes = base64::engine::general_purpose::STANDARD
+            .decode(&self.gray)
+            .ok()?;
         let data = bytes.into_iter().map(|v| f32::from(v) / 255.0).collect();
         GrayImage::new(self.width, self.height, data).ok()
     }
@@ -126,7 +128,12 @@ impl SaveTarget {
     }
 
     /// Leaves out what is fixed to the camera, counts what moves, and looks for places that are alike.
-    fn judge(&self, mut target: Target, image: &GrayImage, seen: &Seen) -> Result<Target, ServoError> {
+    fn judge(
+        &self,
+        mut target: Target,
+        image: &GrayImage,
+        seen: &Seen,
+    ) -> Result<Target, ServoError> {
         let all = target.features.len();
         let free = seen.fixed.without(&target.features).into_owned();
         let moves = |k: &&scopeservo_sift::Keypoint| seen.parallax.of_keypoint(k) == Place::Moved;
@@ -166,7 +173,14 @@ impl SaveTarget {
             return Ok(());
         };
         let without_identity = prior.moved_px.is_some();
-        let rival = find_rival(second_features, &target.features, &answer, prior, options, without_identity);
+        let rival = find_rival(
+            second_features,
+            &target.features,
+            &answer,
+            prior,
+            options,
+            without_identity,
+        );
         let Some(rival) = rival else { return Ok(()) };
         let pair = Pair::new(second, image, 1.0);
         match contest(&pair, &found.target_from_view, &rival, counts) {
@@ -209,7 +223,13 @@ impl Procedure for SaveTarget {
             let frame = grab(scope, sink, FrameRole::Aside, &target.objective)?;
             let second_image = gray(&frame)?;
             let second = features(&second_image, &vision.view)?;
-            self.refuse_repetition(&target, &image, (&second_image, &second), &same_objective(0.05), |_| true)?;
+            self.refuse_repetition(
+                &target,
+                &image,
+                (&second_image, &second),
+                &same_objective(0.05),
+                |_| true,
+            )?;
             return Ok(Progress::Done(target));
         }
         let nominal = scope.objective(&target.objective)?.nominal_um_per_px;
@@ -250,7 +270,11 @@ pub(crate) fn rival_in_words(rival: &Rival, um_per_px: Option<f64>) -> String {
         _ => String::new(),
     };
     match um_per_px {
-        Some(um) => format!("{:.1}, {:.1} um ({x:.0}, {y:.0} px{turned})", x * um, y * um),
+        Some(um) => format!(
+            "{:.1}, {:.1} um ({x:.0}, {y:.0} px{turned})",
+            x * um,
+            y * um
+        ),
         None => format!("{x:.0}, {y:.0} px{turned}"),
     }
 }
@@ -272,7 +296,8 @@ mod tests {
         assert_eq!(back, picture);
         let shown = back.image().unwrap();
         assert!(shown.get(40, 30) - shown.get(5, 5) > 0.5);
-        let damaged: Picture = serde_json::from_str(&json.replace("\"width\":50", "\"width\":51")).unwrap();
+        let damaged: Picture =
+            serde_json::from_str(&json.replace("\"width\":50", "\"width\":51")).unwrap();
         assert_eq!(damaged.image(), None);
     }
 }

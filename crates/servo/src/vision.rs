@@ -81,7 +81,11 @@ thread_local! {
 
 /// A frame's luminance.
 pub(crate) fn gray(frame: &Frame) -> Result<GrayImage, ServoError> {
-    Ok(GrayImage::new(frame.width, frame.height, frame.luminance())?)
+    Ok(GrayImage::new(
+        frame.width,
+        frame.height,
+        frame.luminance(),
+    )?)
 }
 
 /// Features of a picture.
