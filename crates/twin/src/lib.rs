@@ -43,7 +43,7 @@ pub use faults::StageFault;
 pub use slide::SpecimenEvent;
 pub use specimen::{
     Blank, CellKind, FileSpecimen, Lattice, LatticeConfig, LatticeKind, MadeSpecimen, Patch,
-    Sparse, SparseConfig, Specimen, SpecimenError, Tissue, Twice,
+    Sparse, SparseConfig, Specimen, SpecimenError, Tissue, Twice, TwiceConfig,
 };
 pub use stage_config::{AxisConfig, StageConfig};
 pub use truth::{TrueCalibration, Truth};

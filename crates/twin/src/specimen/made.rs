@@ -12,26 +12,31 @@ use std::sync::Arc;
 pub enum MadeSpecimen {
     /// Glass with nothing on it.
     Blank {},
-    /// Procedural tissue.
-    Tissue {
-        /// Of everything that is drawn.
-        seed: u64,
-    },
     /// Single cells on glass.
     Sparse(SparseConfig),
     /// What repeats itself.
     Lattice(LatticeConfig),
     /// Procedural tissue of which a piece is there a second time.
-    Twice {
-        /// Of the tissue.
-        seed: u64,
-        /// Middle of the piece, um.
-        original_um: [f64; 2],
-        /// Middle of its copy, um.
-        copy_um: [f64; 2],
-        /// Sides of both, um.
-        size_um: [f64; 2],
-    },
+    Twice(TwiceConfig),
+}
+
+/// Procedural tissue and the piece of it that is there twice.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TwiceConfig {
+    /// Of the tissue.
+    #[serde(default = "one")]
+    pub seed: u64,
+    /// Middle of the piece, um.
+    pub original_um: [f64; 2],
+    /// Middle of its copy, um.
+    pub copy_um: [f64; 2],
+    /// Sides of both, um.
+    pub size_um: [f64; 2],
+}
+
+fn one() -> u64 {
+    1
 }
 
 impl MadeSpecimen {
@@ -42,21 +47,22 @@ impl MadeSpecimen {
     pub fn make(&self) -> Result<Arc<dyn Specimen>, TwinError> {
         Ok(match self {
             Self::Blank {} => Arc::new(Blank),
-            Self::Tissue { seed } => Arc::new(Tissue::new(*seed)),
             Self::Sparse(config) => Arc::new(Sparse::new(config.clone())?),
             Self::Lattice(config) => Arc::new(Lattice::new(config.clone())?),
-            Self::Twice {
-                seed,
-                original_um,
-                copy_um,
-                size_um,
-            } => {
+            Self::Twice(twice) => {
                 require(
-                    finite(original_um) && finite(copy_um) && positive(size_um),
+                    finite(&twice.original_um)
+                        && finite(&twice.copy_um)
+                        && positive(&twice.size_um),
                     "twice: places must be numbers and sizes above 0",
                 )?;
-                let tissue = Arc::new(Tissue::new(*seed));
-                Arc::new(Twice::new(tissue, *original_um, *copy_um, *size_um))
+                let tissue = Arc::new(Tissue::new(twice.seed));
+                Arc::new(Twice::new(
+                    tissue,
+                    twice.original_um,
+                    twice.copy_um,
+                    twice.size_um,
+                ))
             }
         })
     }

@@ -289,12 +289,12 @@ fn descriptions_that_make_no_sense_are_refused_with_the_field() {
         ..SparseConfig::default()
     };
     assert!(said(MadeSpecimen::Sparse(bad)).contains("contrast"));
-    let bad = MadeSpecimen::Twice {
+    let bad = MadeSpecimen::Twice(TwiceConfig {
         seed: 1,
         original_um: [0.0; 2],
         copy_um: [f64::NAN; 2],
         size_um: [9.0; 2],
-    };
+    });
     assert!(said(bad).contains("twice"));
     assert_eq!(
         MadeSpecimen::Blank {}.make().unwrap().describe(),

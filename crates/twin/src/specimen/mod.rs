@@ -24,7 +24,7 @@ use scopeservo_slide::SlideError;
 
 pub use file::FileSpecimen;
 pub use lattice::{CellKind, Lattice, LatticeConfig, LatticeKind};
-pub use made::MadeSpecimen;
+pub use made::{MadeSpecimen, TwiceConfig};
 pub use sparse::{Sparse, SparseConfig};
 pub use texture::texture_share;
 pub use tissue::Tissue;
