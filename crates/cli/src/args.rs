@@ -246,6 +246,7 @@ pub(crate) enum TwinCommand {
 #[command(after_help = "Examples:
   scopeservo twin serve                             as a driver on standard input and output
   scopeservo twin serve --listen 127.0.0.1:7414
+  scopeservo twin serve --described-in scopeservo.toml   with the dust, text or lattice that the file asks for
   scopeservo twin serve --listen 0.0.0.0:7414 --secret-file secret.txt")]
 pub(crate) struct TwinServeArgs {
     /// Listen on this address and port instead of standard input and output.
@@ -254,6 +255,9 @@ pub(crate) struct TwinServeArgs {
     /// A file with a secret that callers must know; needed where other machines can call.
     #[arg(long, value_name = "FILE", requires = "listen")]
     pub(crate) secret_file: Option<PathBuf>,
+    /// The simulated microscope of this file's [drivers.NAME.twin], instead of what the options below say.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["specimen", "um_per_px", "seed", "centre_um", "turned_deg"])]
+    pub(crate) described_in: Option<PathBuf>,
     /// A slide image to put under the microscope. Without it, procedural tissue grown from the seed.
     #[arg(long, value_name = "FILE")]
     pub(crate) specimen: Option<PathBuf>,

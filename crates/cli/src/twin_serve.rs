@@ -5,24 +5,37 @@ use crate::driver_check::read_secret;
 use crate::error::CliError;
 use scopeservo_protocol::{Offer, listen, serve};
 use scopeservo_scope::{Clock, SystemClock};
-use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
-use scopeservo_twin::{Config, Twin};
+use scopeservo_setup::{Config, TwinConfig};
 use std::net::TcpListener;
+use std::path::Path;
 use std::sync::Arc;
 
 pub(crate) fn run(args: &TwinServeArgs) -> Result<bool, CliError> {
-    let specimen: Arc<dyn Specimen> = match &args.specimen {
-        Some(path) => Arc::new(FileSpecimen::open(path, args.um_per_px)?),
-        None => Arc::new(Tissue::new(args.seed)),
-    };
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-    let twin = Twin::new(Config::realistic(), specimen, args.seed, clock.clone())?;
-    if !args.turned_deg.is_finite() {
-        return Err(CliError::Usage(
-            "--turned-deg must be a number of degrees".into(),
-        ));
-    }
-    twin.centre_specimen(args.centre_um, args.turned_deg);
+    let twin = match &args.described_in {
+        Some(path) => {
+            let config = Config::read(path)?;
+            let described = config.drivers.values().find_map(|d| d.twin.as_ref());
+            let described = described.ok_or_else(|| {
+                CliError::Usage(format!(
+                    "{} describes no simulated microscope: give it a [drivers.NAME.twin]",
+                    path.display()
+                ))
+            })?;
+            described.build(|path| config.resolve(path), clock.clone())?
+        }
+        None => {
+            let told = TwinConfig {
+                seed: args.seed,
+                specimen: args.specimen.clone(),
+                um_per_px: args.um_per_px,
+                centre_um: args.centre_um,
+                turned_deg: args.turned_deg,
+                ..TwinConfig::default()
+            };
+            told.build(Path::to_path_buf, clock.clone())?
+        }
+    };
     let offer = Offer {
         name: "simulated microscope".into(),
         stage: Some(twin.stage()),

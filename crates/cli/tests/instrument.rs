@@ -216,6 +216,8 @@ fn bad_descriptions_and_names_are_said_before_anything_moves() {
         vec!["driver", "check", "--tcp", "127.0.0.1:1"],
         vec!["twin", "serve", "--listen", "0.0.0.0:0"],
         vec!["twin", "serve", "--listen", "nowhere"],
+        vec!["twin", "serve", "--described-in", "no.toml"],
+        vec!["twin", "serve", "--described-in", "scopeservo.toml"],
     ] {
         assert_bad_input(here, &args);
     }
@@ -243,22 +245,17 @@ fn bad_descriptions_and_names_are_said_before_anything_moves() {
 fn the_simulated_microscope_as_a_driver_passes_its_check() {
     let dir = tempfile::tempdir().unwrap();
     let program = env!("CARGO_BIN_EXE_scopeservo");
-    let check = ok(
+    describe(
         dir.path(),
-        &[
-            "driver",
-            "check",
-            "--retract-z-um",
-            "-2000",
-            "--json",
-            "--",
-            program,
-            "twin",
-            "serve",
-        ],
+        "camera.dust = [{ specks = 40, radius_px = [2, 12], steepness = [1, 60] }]",
     );
-    assert_eq!(check["ok"], true, "{check}");
-    assert!(check["findings"].as_array().unwrap().len() >= 15, "{check}");
+    for described in [&[][..], &["--described-in", "scopeservo.toml"]] {
+        let check = ["driver", "check", "--retract-z-um", "-2000", "--json", "--"];
+        let serve = [program, "twin", "serve"];
+        let check = ok(dir.path(), &[&check[..], &serve, described].concat());
+        assert_eq!(check["ok"], true, "{check}");
+        assert!(check["findings"].as_array().unwrap().len() >= 15, "{check}");
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The file. Every key has its unit in its name; unknown keys are errors.
 
 use crate::SetupError;
+use crate::simulated::TwinConfig;
 use scopeservo_drivers::camera::{FolderSettings, MjpegSettings, SnapshotSettings, V4lSettings};
 use scopeservo_drivers::gcode::GcodeSettings;
 use scopeservo_drivers::gcs2::Gcs2Settings;
@@ -128,55 +129,6 @@ impl<T> WebConfig<T> {
     fn has_whole_login(&self) -> bool {
         self.user.is_some() == self.password_file.is_some()
     }
-}
-
-/// The simulated microscope.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TwinConfig {
-    /// Of everything that is drawn.
-    #[serde(default = "one")]
-    pub seed: u64,
-    /// A slide image; procedural tissue without.
-    pub specimen: Option<PathBuf>,
-    /// Size of a pixel of the slide image, where it does not state it.
-    pub um_per_px: Option<f64>,
-    /// What lies under the view's centre at the start, um on the specimen.
-    #[serde(default)]
-    pub centre_um: [f64; 2],
-    /// How far the specimen is turned.
-    #[serde(default)]
-    pub turned_deg: f64,
-    /// Which stage it has.
-    #[serde(default)]
-    pub stage: TwinStage,
-    /// Which objectives it has; all three without.
-    pub objectives: Option<Vec<String>>,
-    /// Whether the camera mirrors.
-    #[serde(default)]
-    pub mirrored: bool,
-    /// Whether motion takes as long as it would; otherwise a minute passes in a second.
-    #[serde(default)]
-    pub real_time: bool,
-}
-
-/// The stages of the simulated microscope.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum TwinStage {
-    /// Six axes; it carries the microscope.
-    #[default]
-    Hexapod,
-    /// x, y, focus and a turning plate on top; they carry the specimen.
-    XyzTheta,
-    /// x, y and focus.
-    Xyz,
-    /// x and y: somebody focuses by hand.
-    Xy,
-}
-
-fn one() -> u64 {
-    1
 }
 
 /// The name of a driver.

@@ -9,12 +9,12 @@ mod error;
 mod open;
 mod own;
 mod rules;
+mod simulated;
 mod template;
 
 pub use by_hand::Ask;
-pub use config::{
-    Config, DeviceName, DriverConfig, ObjectiveConfig, OwnConfig, TwinConfig, TwinStage,
-};
+pub use config::{Config, DeviceName, DriverConfig, ObjectiveConfig, OwnConfig};
 pub use error::SetupError;
 pub use open::{Consent, Opened, open};
+pub use simulated::{TwinConfig, TwinStage};
 pub use template::{SCHEMA, TEMPLATE, TWIN_TEMPLATE};

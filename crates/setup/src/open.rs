@@ -2,16 +2,16 @@
 
 use crate::SetupError;
 use crate::by_hand::{Ask, ByHand};
-use crate::config::{Config, DriverConfig, ObjectiveConfig, TwinConfig, TwinStage};
+use crate::config::{Config, DriverConfig, ObjectiveConfig};
 use crate::own;
 use crate::rules::rules;
+use crate::simulated::TwinConfig;
 use scopeservo_protocol::{Devices, Driver, Light, Secret};
 use scopeservo_scope::{
     Camera, CancelToken, Clock, Instrument, Motion, MotionGate, Nosepiece, Objective, ObjectiveId,
     ScopeError, Stage, SystemClock, VirtualClock,
 };
-use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
-use scopeservo_twin::{Config as Make, StageConfig, Twin};
+use scopeservo_twin::{Twin, TwinError};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -253,38 +253,12 @@ fn simulated(
     settings: &TwinConfig,
     clock: &Arc<dyn Clock>,
 ) -> Result<Found, SetupError> {
-    let specimen: Arc<dyn Specimen> = match &settings.specimen {
-        Some(path) => Arc::new(FileSpecimen::open(
-            &config.resolve(path),
-            settings.um_per_px,
-        )?),
-        None => Arc::new(Tissue::new(settings.seed)),
-    };
-    let mut make = Make::realistic().with_stage(match settings.stage {
-        TwinStage::Hexapod => StageConfig::hexapod(),
-        TwinStage::XyzTheta => StageConfig::xyz_theta(),
-        TwinStage::Xyz => StageConfig::xyz(),
-        TwinStage::Xy => StageConfig::xy(),
-    });
-    make.mount.mirrored = settings.mirrored;
-    if let Some(wanted) = &settings.objectives {
-        let known: Vec<String> = make.optics.iter().map(|o| o.id.0.clone()).collect();
-        if let Some(id) = wanted.iter().find(|id| !known.contains(id)) {
-            let known = known.join(", ");
-            return Err(config.senseless(format!("the twin has no objective {id}; it has {known}")));
-        }
-        make.optics.retain(|o| wanted.contains(&o.id.0));
-    }
-    let twin = Twin::new(make, specimen, settings.seed, clock.clone())?;
-    let numbers = [
-        settings.centre_um[0],
-        settings.centre_um[1],
-        settings.turned_deg,
-    ];
-    if !numbers.iter().all(|v| v.is_finite()) {
-        return Err(config.senseless("centre_um and turned_deg of the twin must be numbers"));
-    }
-    twin.centre_specimen(settings.centre_um, settings.turned_deg);
+    let twin = settings
+        .build(|path| config.resolve(path), clock.clone())
+        .map_err(|error| match error {
+            SetupError::Twin(TwinError::BadConfig { what }) => config.senseless(what),
+            other => other,
+        })?;
     Ok(Found {
         name: "simulated microscope".into(),
         devices: Devices {

@@ -89,6 +89,8 @@ name = "simulated microscope"
 seed = 1
 # specimen = "slide.png"          # procedural tissue without
 # um_per_px = 0.5
+# made.lattice = { kind = "hexagonal", pitch_um = 12, disorder = 0.05 }   # or blank, sparse, twice instead of tissue
+# camera.dust = [{ specks = 40, radius_px = [2, 20], steepness = [1, 60] }]   # on the camera; also camera.marks, camera.pattern
 centre_um = [0, 0]                # what lies under the view's centre at the start
 turned_deg = 0
 # stage = "hexapod"               # or "xyz-theta", "xyz", "xy"

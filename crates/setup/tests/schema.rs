@@ -53,6 +53,27 @@ fn the_schema_has_the_keys_of_the_program_table_by_table() {
         ("[light]", "/properties/light".into()),
         ("[drivers.a]", driver.into()),
         ("[drivers.a.twin]", own("twin")),
+        ("[drivers.a.twin.camera]", own("twin/properties/camera")),
+        (
+            "[[drivers.a.twin.camera.dust]]",
+            own("twin/properties/camera/properties/dust/items"),
+        ),
+        (
+            "[drivers.a.twin.camera.pattern]",
+            own("twin/properties/camera/properties/pattern"),
+        ),
+        (
+            "[drivers.a.twin.made.lattice]",
+            own("twin/properties/made/properties/lattice"),
+        ),
+        (
+            "[drivers.a.twin.made.sparse]",
+            own("twin/properties/made/properties/sparse"),
+        ),
+        (
+            "[drivers.a.twin.made.twice]",
+            own("twin/properties/made/properties/twice"),
+        ),
         ("[drivers.a.gcs2]", own("gcs2")),
         ("[drivers.a.gcs2.settings]", own("gcs2/properties/settings")),
         (

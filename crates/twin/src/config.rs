@@ -1,8 +1,9 @@
 //! What the simulated microscope is made of. Every default is the paper's instrument, never a clean one.
 
 use crate::TwinError;
+use crate::camera_config::CameraConfig;
 use crate::stage_config::StageConfig;
-use scopeservo_scope::{Channels, Kinematics, ObjectiveId};
+use scopeservo_scope::{Kinematics, ObjectiveId};
 use serde::{Deserialize, Serialize};
 
 /// A whole simulated microscope.
@@ -74,46 +75,6 @@ pub struct MountConfig {
     pub skew: f64,
 }
 
-/// The camera and its faults.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct CameraConfig {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Colour or grey.
-    pub channels: Channels,
-    /// Bits per sample, 8 to 16.
-    pub bit_depth: u8,
-    /// Frames per second, when the exposure leaves time for it.
-    pub frames_per_s: f64,
-    /// Exposure at the start, ms. Signal is proportional to exposure over nominal exposure.
-    pub exposure_ms: f64,
-    /// Exposure at which white reaches `white_level`, ms.
-    pub nominal_exposure_ms: f64,
-    /// Shortest and longest exposure, ms.
-    pub exposure_range_ms: [f64; 2],
-    /// Read-out time after the exposure, ms.
-    pub readout_ms: f64,
-    /// Share of full scale that white (255 in the specimen) reaches at nominal exposure.
-    pub white_level: f64,
-    /// Electrons at full scale with gain 1.
-    pub full_well_e: f64,
-    /// Gain after the full well; above 1 full scale is reached with fewer electrons.
-    pub gain: f64,
-    /// Whether photons arrive one by one.
-    pub shot_noise: bool,
-    /// Read noise, electrons (standard deviation).
-    pub read_noise_e: f64,
-    /// Dust specks on the sensor's window, 3 to 8 px wide at half depth.
-    pub dust_specks: usize,
-    /// Least and most light that a speck takes, 0..1.
-    pub dust_attenuation: [f64; 2],
-    /// Pixels that are always dark or always bright in one channel.
-    pub dead_pixels: usize,
-}
-
 /// The nosepiece. Offsets are drawn from the seed, one per objective.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -166,7 +127,7 @@ impl Config {
         let mut config = Self::realistic();
         config.camera.shot_noise = false;
         config.camera.read_noise_e = 0.0;
-        config.camera.dust_specks = 0;
+        config.camera.dust.clear();
         config.camera.dead_pixels = 0;
         config.nosepiece.repeatability_um = 0.0;
         config.nosepiece.focus_repeatability_um = 0.0;
@@ -251,42 +212,6 @@ impl ObjectiveConfig {
     }
 }
 
-impl CameraConfig {
-    fn check(&self) -> Result<(), TwinError> {
-        require(
-            (1..=8192).contains(&self.width) && (1..=8192).contains(&self.height),
-            "camera: width and height must be 1 to 8192",
-        )?;
-        require(
-            (8..=16).contains(&self.bit_depth),
-            "camera: bit_depth must be 8 to 16",
-        )?;
-        require(
-            positive(&[
-                self.frames_per_s,
-                self.exposure_ms,
-                self.nominal_exposure_ms,
-                self.exposure_range_ms[0],
-                self.white_level,
-                self.full_well_e,
-                self.gain,
-            ]) && not_negative(&[self.read_noise_e, self.readout_ms]),
-            "camera: rates, times, levels and gain must be above 0",
-        )?;
-        require(
-            self.exposure_range_ms[0] <= self.exposure_ms
-                && self.exposure_ms <= self.exposure_range_ms[1]
-                && self.exposure_range_ms[1].is_finite(),
-            "camera: exposure_ms must lie inside exposure_range_ms",
-        )?;
-        require(
-            self.dust_attenuation.iter().all(|&a| fraction(a))
-                && self.dust_attenuation[0] <= self.dust_attenuation[1],
-            "camera: dust_attenuation must be two rising numbers in 0..1",
-        )
-    }
-}
-
 fn paper_objectives() -> Vec<ObjectiveConfig> {
     // Table II of the paper; the aperture is that of a common plan achromat.
     let objective =
@@ -318,30 +243,6 @@ impl Default for MountConfig {
             eta_mm: [125.4031, 0.0663],
             mirrored: false,
             skew: 0.0,
-        }
-    }
-}
-
-impl Default for CameraConfig {
-    fn default() -> Self {
-        Self {
-            width: 640,
-            height: 480,
-            channels: Channels::Rgb,
-            bit_depth: 8,
-            frames_per_s: 30.0,
-            exposure_ms: 10.0,
-            nominal_exposure_ms: 10.0,
-            exposure_range_ms: [0.02, 1000.0],
-            readout_ms: 5.0,
-            white_level: 0.92,
-            full_well_e: 12_000.0,
-            gain: 1.0,
-            shot_noise: true,
-            read_noise_e: 6.0,
-            dust_specks: 6,
-            dust_attenuation: [0.10, 0.25],
-            dead_pixels: 12,
         }
     }
 }
@@ -387,7 +288,7 @@ pub(crate) fn not_negative(values: &[f64]) -> bool {
     finite(values) && values.iter().all(|&v| v >= 0.0)
 }
 
-fn fraction(value: f64) -> bool {
+pub(crate) fn fraction(value: f64) -> bool {
     (0.0..=1.0).contains(&value)
 }
 

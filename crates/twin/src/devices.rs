@@ -2,6 +2,7 @@
 
 use crate::optics::View;
 use crate::render::{Planes, Scene, blend, instants, render};
+use crate::sensor::Exposure;
 use crate::slide::Effects;
 use crate::specimen::Specimen;
 use crate::twin::{Inner, State};
@@ -185,7 +186,7 @@ impl Camera for TwinCamera {
         self.0.clock.sleep(ready.saturating_sub(now));
 
         let (start, exposure) = (slot.start.as_secs_f64(), slot.exposure.as_secs_f64());
-        let (specimen, effects, middle, views, older) = {
+        let (specimen, effects, window, place, middle, views, older) = {
             let mut state = self.0.state();
             let middle = self.0.view(&state, start + 0.5 * exposure);
             let truth = self.0.truth(&middle, Some(slot.sequence));
@@ -196,6 +197,8 @@ impl Camera for TwinCamera {
             (
                 state.specimen.clone(),
                 state.slide.effects.clone(),
+                state.window.clone(),
+                state.stage.reported(start + 0.5 * exposure),
                 middle,
                 self.views(&state, start, exposure),
                 older,
@@ -212,9 +215,13 @@ impl Camera for TwinCamera {
         let samples = self.0.sensor.develop(
             &light,
             &self.0.config.optics[middle.objective],
-            exposure * 1e3,
-            middle.lit,
-            slot.sequence,
+            &Exposure {
+                ms: exposure * 1e3,
+                lit: middle.lit,
+                sequence: slot.sequence,
+                window: &window,
+                place: &place,
+            },
         );
         Ok(Frame {
             width: camera.width,

@@ -20,9 +20,11 @@
 //! [`Clock`]: scopeservo_scope::Clock
 
 mod blur;
+mod camera_config;
 mod config;
 mod devices;
 mod faults;
+mod font;
 mod nosepiece;
 mod optics;
 mod render;
@@ -35,12 +37,14 @@ mod stage_config;
 mod truth;
 mod twin;
 
-pub use config::{
-    CameraConfig, Config, MountConfig, NosepieceConfig, ObjectiveConfig, SlideConfig,
-};
+pub use camera_config::{CameraConfig, DustConfig, Mark, PatternConfig};
+pub use config::{Config, MountConfig, NosepieceConfig, ObjectiveConfig, SlideConfig};
 pub use faults::StageFault;
 pub use slide::SpecimenEvent;
-pub use specimen::{Blank, FileSpecimen, Patch, Specimen, SpecimenError, Tissue};
+pub use specimen::{
+    Blank, CellKind, FileSpecimen, Lattice, LatticeConfig, LatticeKind, MadeSpecimen, Patch,
+    Sparse, SparseConfig, Specimen, SpecimenError, Tissue, Twice, TwiceConfig,
+};
 pub use stage_config::{AxisConfig, StageConfig};
 pub use truth::{TrueCalibration, Truth};
 pub use twin::{Twin, TwinError};

@@ -8,6 +8,10 @@ pub(crate) const NOSEPIECE: u64 = 2;
 pub(crate) const SENSOR: u64 = 3;
 pub(crate) const PIXELS: u64 = 4;
 pub(crate) const SLIDE: u64 = 5;
+pub(crate) const LATTICE: u64 = 6;
+pub(crate) const LATTICE_CELL: u64 = 7;
+pub(crate) const LATTICE_NUMBER: u64 = 8;
+pub(crate) const SPARSE: u64 = 9;
 
 /// The generator number `n` of a stream. Neighbouring numbers give unrelated sequences.
 pub(crate) fn rng(seed: u64, stream: u64, n: u64) -> Pcg64Mcg {

@@ -1,5 +1,6 @@
 //! The microscope as a whole: its state, its truth, and what may happen to it.
 
+use crate::camera_config::DustConfig;
 use crate::config::Config;
 use crate::devices::{TwinCamera, TwinNosepiece, TwinStage};
 use crate::faults::StageFault;
@@ -59,6 +60,8 @@ pub(crate) struct State {
     pub(crate) nosepiece: NosepieceState,
     pub(crate) slide: Slide,
     pub(crate) specimen: Arc<dyn Specimen>,
+    /// Light that passes the camera's window, per pixel.
+    pub(crate) window: Arc<Vec<f32>>,
     pub(crate) exposure: Duration,
     pub(crate) next_sequence: u64,
     pub(crate) drop_frames: u32,
@@ -159,6 +162,7 @@ impl Twin {
             .axis(Axis::Z)
             .map_or(0.0, |z| 0.5 * (z.min + z.max));
         let ms = |v: f64| Duration::from_secs_f64(v * 1e-3);
+        let sensor = Sensor::new(camera, seed);
         let inner = Inner {
             stage_info: config.stage.info(),
             camera_info: CameraInfo {
@@ -180,7 +184,6 @@ impl Twin {
                     nominal_um_per_px: o.nominal_um_per_px,
                 })
                 .collect(),
-            sensor: Sensor::new(camera, seed),
             offsets: fixed_offsets(&nosepiece, config.optics.len(), seed),
             start_z,
             state: Mutex::new(State {
@@ -188,6 +191,7 @@ impl Twin {
                 nosepiece: NosepieceState::new(nosepiece, seed, now),
                 slide: Slide::new(&config.slide),
                 specimen,
+                window: sensor.window(),
                 exposure: ms(camera.exposure_ms),
                 next_sequence: 0,
                 drop_frames: 0,
@@ -198,6 +202,7 @@ impl Twin {
                 truths: BTreeMap::new(),
                 slide_rng: seeds::rng(seed, seeds::SLIDE, 0),
             }),
+            sensor,
             config,
             clock,
         };
@@ -283,6 +288,22 @@ impl Twin {
         let mut state = self.inner.state();
         state.specimen = specimen;
         state.slide.effects = crate::slide::Effects::none();
+    }
+
+    /// Somebody cleans the camera's window: all dust goes.
+    pub fn clean_window(&self) {
+        self.inner.state().window = self.inner.sensor.clean_window();
+    }
+
+    /// More dust settles on the camera's window, drawn from a seed of its own. What lies there stays.
+    ///
+    /// # Errors
+    /// [`TwinError::BadConfig`], as [`Config::check`].
+    pub fn settle_dust(&self, dust: &[DustConfig], seed: u64) -> Result<(), TwinError> {
+        dust.iter().try_for_each(DustConfig::check)?;
+        let mut state = self.inner.state();
+        state.window = self.inner.sensor.settle(&state.window, dust, seed);
+        Ok(())
     }
 
     /// Something happens to the specimen.

@@ -7,18 +7,28 @@
 //! level L, so a coarse view is anti-aliased, and its samples are centred half a fine sample away from fine ones; a
 //! [`Patch`] carries its own origin for that reason.
 
+mod canvas;
 mod file;
+mod lattice;
+mod made;
 mod pyramid;
+mod shape;
+mod sparse;
 mod texture;
 mod tissue;
+mod twice;
 
 use std::path::PathBuf;
 
 use scopeservo_slide::SlideError;
 
 pub use file::FileSpecimen;
+pub use lattice::{CellKind, Lattice, LatticeConfig, LatticeKind};
+pub use made::{MadeSpecimen, TwiceConfig};
+pub use sparse::{Sparse, SparseConfig};
 pub use texture::texture_share;
 pub use tissue::Tissue;
+pub use twice::Twice;
 
 /// Colour of blank glass, as the camera sees it on 0..=255.
 pub const GLASS: [u8; 3] = [243, 242, 244];
@@ -161,5 +171,7 @@ impl Specimen for Blank {
     }
 }
 
+#[cfg(test)]
+mod made_tests;
 #[cfg(test)]
 mod tests;

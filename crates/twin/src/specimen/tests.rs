@@ -13,7 +13,7 @@ fn red_pixel(folder: &Path, [w, h]: [u32; 2], [x, y]: [u32; 2]) -> PathBuf {
     path
 }
 
-fn sample(p: &Patch, i: usize, j: usize) -> [u8; 3] {
+pub(super) fn sample(p: &Patch, i: usize, j: usize) -> [u8; 3] {
     let at = 3 * (j * p.width + i);
     [p.rgb[at], p.rgb[at + 1], p.rgb[at + 2]]
 }
@@ -93,7 +93,7 @@ fn beyond_a_file_is_glass() {
 }
 
 /// Each sample of level L + 1 is the rounded mean of the four of level L around its centre.
-fn assert_box_means(s: &dyn Specimen, level: usize, x: [f64; 2], y: [f64; 2]) {
+pub(super) fn assert_box_means(s: &dyn Specimen, level: usize, x: [f64; 2], y: [f64; 2]) {
     let coarse = s.patch(level + 1, x, y, 0).unwrap();
     let reach = 0.25 * coarse.spacing_um;
     let x_end = coarse.x0_um + (coarse.width - 1) as f64 * coarse.spacing_um;

@@ -1,18 +1,25 @@
-//! From light to numbers: illumination, exposure, noise, dust, dead pixels, quantisation.
+//! From light to numbers: illumination, exposure, noise, dust, patterns, dead pixels, quantisation, what is written on top.
 
-use crate::config::{CameraConfig, ObjectiveConfig};
+mod dust;
+mod overlay;
+mod pattern;
+
+use crate::camera_config::{CameraConfig, DustConfig};
+use crate::config::ObjectiveConfig;
 use crate::render::Planes;
 use crate::seeds;
+use pattern::Pattern;
 use rand::RngExt;
 use rayon::prelude::*;
-use scopeservo_scope::{Channels, Samples};
+use scopeservo_scope::{Channels, Samples, StagePose};
+use std::sync::Arc;
 
-/// What one camera has and another has not: dust on its window, dead pixels.
+/// What one camera has and another has not: a pattern, dead pixels, the dust it came with.
 pub(crate) struct Sensor {
     config: CameraConfig,
     seed: u64,
-    /// Light that passes the dust, per pixel.
-    window: Vec<f32>,
+    window: Arc<Vec<f32>>,
+    pattern: Option<Pattern>,
     dead: Vec<Dead>,
     normal: Vec<f32>,
 }
@@ -23,29 +30,27 @@ struct Dead {
     bright: bool,
 }
 
+/// One exposure, apart from its light.
+pub(crate) struct Exposure<'a> {
+    pub(crate) ms: f64,
+    /// False while the nosepiece blocks the beam.
+    pub(crate) lit: bool,
+    pub(crate) sequence: u64,
+    /// Light that passes dust and reticle, per pixel.
+    pub(crate) window: &'a [f32],
+    /// Where the stage says that it is.
+    pub(crate) place: &'a StagePose,
+}
+
 impl Sensor {
     pub(crate) fn new(config: &CameraConfig, seed: u64) -> Self {
-        let (w, h) = (config.width, config.height);
         let mut rng = seeds::rng(seed, seeds::SENSOR, 0);
-        let mut window = vec![1.0f32; w * h];
-        for _ in 0..config.dust_specks {
-            let x = rng.random::<f64>() * w as f64;
-            let y = rng.random::<f64>() * h as f64;
-            let radius: f64 = rng.random_range(3.0..8.0);
-            let [least, most] = config.dust_attenuation;
-            let depth = least + (most - least) * rng.random::<f64>();
-            for (i, v) in window.iter_mut().enumerate() {
-                let d_sq = ((i % w) as f64 - x).powi(2) + ((i / w) as f64 - y).powi(2);
-                // Out of focus: flat in the middle, soft at the edge, half at the radius.
-                let shade = depth / (1.0 + (d_sq / (radius * radius)).powi(3));
-                if shade > 1e-4 {
-                    *v *= 1.0 - shade as f32;
-                }
-            }
-        }
+        let mut window = dust::clean_window(config);
+        dust::settle(&mut window, config.width, &config.dust, &mut rng);
+        let pixels = (config.width * config.height) as f64;
         let dead = (0..config.dead_pixels)
             .map(|_| Dead {
-                index: (rng.random::<f64>() * (w * h) as f64) as usize,
+                index: (rng.random::<f64>() * pixels) as usize,
                 channel: (rng.random::<f64>() * 3.0) as usize,
                 bright: rng.random(),
             })
@@ -53,33 +58,45 @@ impl Sensor {
         Self {
             config: config.clone(),
             seed,
-            window,
+            window: Arc::new(window),
+            pattern: Pattern::draw(config, &mut seeds::rng(seed, seeds::SENSOR, 1)),
             dead,
             normal: normal_table(),
         }
     }
 
-    /// Reads the picture out. `exposure_ms` scales the light; `lit` is false while the nosepiece blocks the beam.
+    /// The window as it was made, with its dust.
+    pub(crate) fn window(&self) -> Arc<Vec<f32>> {
+        self.window.clone()
+    }
+
+    /// The window after somebody cleaned it.
+    pub(crate) fn clean_window(&self) -> Arc<Vec<f32>> {
+        Arc::new(dust::clean_window(&self.config))
+    }
+
+    /// A window on which more dust has settled, drawn from a seed of its own.
+    pub(crate) fn settle(&self, window: &[f32], kinds: &[DustConfig], seed: u64) -> Arc<Vec<f32>> {
+        let mut window = window.to_vec();
+        let mut rng = seeds::rng(seed, seeds::SENSOR, 2);
+        dust::settle(&mut window, self.config.width, kinds, &mut rng);
+        Arc::new(window)
+    }
+
+    /// Reads the picture out.
     pub(crate) fn develop(
         &self,
         light: &Planes,
         optics: &ObjectiveConfig,
-        exposure_ms: f64,
-        lit: bool,
-        sequence: u64,
+        exposure: &Exposure<'_>,
     ) -> Samples {
         let channels = self.config.channels.count();
-        let mut levels = vec![0u16; self.window.len() * channels];
+        let mut levels = vec![0u16; exposure.window.len() * channels];
         levels
             .par_chunks_mut(self.config.width * channels)
             .enumerate()
             .for_each(|(y, row)| {
-                let strength = if lit {
-                    exposure_ms / self.config.nominal_exposure_ms
-                } else {
-                    0.0
-                };
-                self.develop_row(light, optics, strength, sequence, y, row);
+                self.develop_row(light, optics, exposure, y, row);
             });
         let top = full_scale(self.config.bit_depth);
         for d in &self.dead {
@@ -89,6 +106,7 @@ impl Sensor {
             };
             levels[at] = if d.bright { top } else { 0 };
         }
+        overlay::write(&self.config, top, exposure.place, &mut levels);
         if self.config.bit_depth == 8 {
             Samples::U8(levels.into_iter().map(|v| v as u8).collect())
         } else {
@@ -100,14 +118,18 @@ impl Sensor {
         &self,
         light: &Planes,
         optics: &ObjectiveConfig,
-        strength: f64,
-        sequence: u64,
+        exposure: &Exposure<'_>,
         y: usize,
         row: &mut [u16],
     ) {
         let config = &self.config;
         let w = config.width;
-        let mut rng = seeds::rng(self.seed, seeds::PIXELS, (sequence << 14) ^ y as u64);
+        let stream = (exposure.sequence << 14) ^ y as u64;
+        let mut rng = seeds::rng(self.seed, seeds::PIXELS, stream);
+        let strength = match exposure.lit {
+            true => exposure.ms / config.nominal_exposure_ms,
+            false => 0.0,
+        };
         let full_well = config.full_well_e as f32;
         let white = (strength * optics.brightness * config.white_level * config.full_well_e
             / config.gain) as f32;
@@ -121,7 +143,7 @@ impl Sensor {
         let shot = f32::from(u8::from(config.shot_noise));
         let channels = config.channels.count();
         let rows: [&[f32]; 3] = std::array::from_fn(|c| &light[c][y * w..(y + 1) * w]);
-        let window = &self.window[y * w..(y + 1) * w];
+        let window = &exposure.window[y * w..(y + 1) * w];
         for (x, out) in row.chunks_exact_mut(channels).enumerate() {
             let u = (x as f32 + 0.5 - half_w) / half_w;
             let r_sq = (u * u * half_w * half_w + v * v * half_h * half_h) / corner_sq;
@@ -141,6 +163,9 @@ impl Sensor {
                     let unit = self.normal[(bits & 0xfff) as usize];
                     bits >>= 12;
                     electrons += unit * (shot * electrons + read_sq).sqrt();
+                }
+                if let Some(pattern) = &self.pattern {
+                    electrons = pattern.apply(y * w + x, electrons);
                 }
                 let level = electrons.min(full_well) * level_per_e;
                 *out = (level + 0.5).clamp(0.0, top) as u16;
@@ -174,5 +199,4 @@ fn full_scale(bit_depth: u8) -> u16 {
 }
 
 #[cfg(test)]
-#[path = "sensor_tests.rs"]
 mod tests;

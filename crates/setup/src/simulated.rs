@@ -1,0 +1,135 @@
+//! The simulated microscope, as a file or a command line describes it.
+
+use crate::SetupError;
+use scopeservo_scope::Clock;
+use scopeservo_twin::{
+    CameraConfig, Config as Make, FileSpecimen, MadeSpecimen, Specimen, StageConfig, Tissue, Twin,
+    TwinError,
+};
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// The simulated microscope.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TwinConfig {
+    /// Of everything that is drawn.
+    #[serde(default = "one")]
+    pub seed: u64,
+    /// A slide image; procedural tissue without.
+    pub specimen: Option<PathBuf>,
+    /// A specimen made up as described: tissue, single cells, a lattice, a piece that is there twice, blank glass.
+    pub made: Option<MadeSpecimen>,
+    /// Size of a pixel of the slide image, where it does not state it.
+    pub um_per_px: Option<f64>,
+    /// What lies under the view's centre at the start, um on the specimen.
+    #[serde(default)]
+    pub centre_um: [f64; 2],
+    /// How far the specimen is turned.
+    #[serde(default)]
+    pub turned_deg: f64,
+    /// Which stage it has.
+    #[serde(default)]
+    pub stage: TwinStage,
+    /// Which objectives it has; all three without.
+    pub objectives: Option<Vec<String>>,
+    /// Whether the camera mirrors.
+    #[serde(default)]
+    pub mirrored: bool,
+    /// Its camera, with its noise, its dust and what it writes into the picture; the usual one without.
+    #[serde(default)]
+    pub camera: CameraConfig,
+    /// Whether motion takes as long as it would; otherwise a minute passes in a second.
+    #[serde(default)]
+    pub real_time: bool,
+}
+
+/// The stages of the simulated microscope.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TwinStage {
+    /// Six axes; it carries the microscope.
+    #[default]
+    Hexapod,
+    /// x, y, focus and a turning plate on top; they carry the specimen.
+    XyzTheta,
+    /// x, y and focus.
+    Xyz,
+    /// x and y: somebody focuses by hand.
+    Xy,
+}
+
+fn one() -> u64 {
+    1
+}
+
+impl Default for TwinConfig {
+    fn default() -> Self {
+        Self {
+            seed: one(),
+            specimen: None,
+            made: None,
+            um_per_px: None,
+            centre_um: [0.0; 2],
+            turned_deg: 0.0,
+            stage: TwinStage::default(),
+            objectives: None,
+            mirrored: false,
+            camera: CameraConfig::default(),
+            real_time: false,
+        }
+    }
+}
+
+impl TwinConfig {
+    /// Builds it on a clock. `resolve` finds the slide image.
+    ///
+    /// # Errors
+    /// [`SetupError::Twin`] with the setting that makes no sense, [`SetupError::Specimen`] for a slide image that does not read.
+    pub fn build(
+        &self,
+        resolve: impl Fn(&Path) -> PathBuf,
+        clock: Arc<dyn Clock>,
+    ) -> Result<Twin, SetupError> {
+        let specimen: Arc<dyn Specimen> = match (&self.specimen, &self.made) {
+            (Some(_), Some(_)) => {
+                return Err(bad("give the twin a specimen or made, not both".into()));
+            }
+            (Some(path), None) => Arc::new(FileSpecimen::open(&resolve(path), self.um_per_px)?),
+            (None, Some(made)) => made.make()?,
+            (None, None) => Arc::new(Tissue::new(self.seed)),
+        };
+        let mut make = Make::realistic().with_stage(match self.stage {
+            TwinStage::Hexapod => StageConfig::hexapod(),
+            TwinStage::XyzTheta => StageConfig::xyz_theta(),
+            TwinStage::Xyz => StageConfig::xyz(),
+            TwinStage::Xy => StageConfig::xy(),
+        });
+        make.mount.mirrored = self.mirrored;
+        make.camera = self.camera.clone();
+        if let Some(wanted) = &self.objectives {
+            let known: Vec<String> = make.optics.iter().map(|o| o.id.0.clone()).collect();
+            if let Some(id) = wanted.iter().find(|id| !known.contains(id)) {
+                let known = known.join(", ");
+                return Err(bad(format!(
+                    "the twin has no objective {id}; it has {known}"
+                )));
+            }
+            make.optics.retain(|o| wanted.contains(&o.id.0));
+        }
+        let [x, y] = self.centre_um;
+        if ![x, y, self.turned_deg].iter().all(|v| v.is_finite()) {
+            return Err(bad(
+                "centre_um and turned_deg of the twin must be numbers".into()
+            ));
+        }
+        let twin = Twin::new(make, specimen, self.seed, clock)?;
+        twin.centre_specimen(self.centre_um, self.turned_deg);
+        Ok(twin)
+    }
+}
+
+fn bad(what: String) -> SetupError {
+    TwinError::BadConfig { what }.into()
+}
