@@ -164,6 +164,22 @@ pub struct Comparison {
     pub both: usize,
 }
 
+impl Comparison {
+    fn take(&mut self, one: &Option<Likeness>, two: &Option<Likeness>, noise: f64) {
+        let (Some(one), Some(two)) = (one, two) else {
+            return;
+        };
+        if one.variance.max(two.variance) <= (STRUCTURED * noise).max(LEAST_VARIANCE) {
+            return;
+        }
+        self.structured += 1;
+        let (a, b) = (one.correlation, two.correlation);
+        self.first_only += usize::from(a >= EXPLAINED && b <= a - APART);
+        self.second_only += usize::from(b >= EXPLAINED && a <= b - APART);
+        self.both += usize::from(a >= EXPLAINED && b >= EXPLAINED);
+    }
+}
+
 /// View and target as planes on the grid of the coarser one.
 pub struct Pair {
     coarse: Plane,
@@ -221,7 +237,8 @@ impl Pair {
         Some(seen.collect())
     }
 
-    /// Compares two transforms on the patches whose place in the view `counts`.
+    /// Compares two transforms, patch by patch: on those of the coarser picture, each against where the transforms take it in the finer
+    /// one; and on those of the finer one, each against where it comes from. Patches whose place in the view `counts` do.
     pub fn compare(
         &self,
         first: &Affine2,
@@ -232,19 +249,46 @@ impl Pair {
         let noise = noise(one.iter().filter_map(|(_, seen)| *seen))?;
         let mut found = Comparison::default();
         for ((place, one), (_, two)) in one.iter().zip(&two) {
-            let (Some(one), Some(two)) = (one, two) else {
-                continue;
-            };
-            if one.variance <= (STRUCTURED * noise).max(LEAST_VARIANCE) || !counts(*place) {
-                continue;
+            if counts(*place) {
+                found.take(one, two, noise);
             }
-            found.structured += 1;
-            let (a, b) = (one.correlation, two.correlation);
-            found.first_only += usize::from(a >= EXPLAINED && b <= a - APART);
-            found.second_only += usize::from(b >= EXPLAINED && a <= b - APART);
-            found.both += usize::from(a >= EXPLAINED && b >= EXPLAINED);
+        }
+        for (one, two) in self.look_back(first)?.iter().zip(&self.look_back(second)?) {
+            if one.0.is_some_and(&counts) && two.0.is_some_and(&counts) {
+                found.take(&one.1, &two.1, noise);
+            }
         }
         Some(found)
+    }
+
+    /// For each patch of a grid over the finer picture, its place in the view and the likeness of the coarse patch that it comes from.
+    fn look_back(&self, target_from_view: &Affine2) -> Option<Vec<(Option<Vec2>, Option<Likeness>)>> {
+        let fine_from_coarse = self.fine_from_coarse(target_from_view)?;
+        let coarse_from_fine = fine_from_coarse.inverse()?;
+        let step = (PATCH_STEP as f64 / coarse_from_fine.linear.det().abs().sqrt()).max(1.0);
+        let along = move |side: usize| {
+            let count = (side as f64 / step) as usize;
+            (0..count).map(move |k| (k as f64 + 0.5) * step)
+        };
+        let mut seen = Vec::new();
+        for y in along(self.fine.height) {
+            for x in along(self.fine.width) {
+                let at = coarse_from_fine.apply([x, y]).map(f64::round);
+                let inside = at[0] >= 0.0
+                    && at[1] >= 0.0
+                    && at[0] < self.coarse.width as f64
+                    && at[1] < self.coarse.height as f64;
+                if !inside {
+                    seen.push((None, None));
+                    continue;
+                }
+                let centre = at.map(|v| v as usize);
+                let place = if self.view_is_coarse { at } else { [x, y] };
+                let like = likeness(&self.coarse, &self.fine, &fine_from_coarse, centre, PATCH_RADIUS);
+                seen.push((Some(place), like));
+            }
+        }
+        Some(seen)
     }
 
     /// The transform near `rough`, shifted by up to a pixel and a half of the coarser picture, under which the patches correlate

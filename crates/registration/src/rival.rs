@@ -1,8 +1,8 @@
 //! Is there another transform that says as much? Specimens that repeat themselves (wafers, grids, films, two equal cells) agree with
 //! more than one, and which of them the search found is chance.
 //!
-//! [`find_rival`] looks for the second-best transform. What the ratio test threw away is what it needs: features of the target that
-//! look like a matched one and lie elsewhere. [`contest`] then lets the places speak that only one of the two explains: a defect, a
+//! [`find_rival`] looks for the second-best transform. What the ratio test threw away is what it needs: features that look like a matched
+//! one and lie elsewhere, in the target (it holds what is in view twice) and in the view (that holds the target twice). [`contest`] then lets the places speak that only one of the two explains: a defect, a
 //! die's number, an odd cell in a grid.
 
 use crate::correspond::wrap;
@@ -20,13 +20,15 @@ const ASKED: usize = 300;
 /// Others that each of them names: the nearest, so that of a lattice's many periods the shortest is seen.
 const NAMED: usize = 8;
 /// A descriptor is alike when its distance is at most this many times what the matched ones have.
-const ALIKE: f32 = 1.5;
+const ALIKE: f32 = 2.0;
 /// Pixels, of the coarser picture, that a place must lie from the matched one to be another.
 const ELSEWHERE_PX: f64 = 6.0;
 /// A rival explains at least this share of the places that lie in the target under it...
 const RIVAL_SHARE: f64 = 0.3;
 /// ...and at least this share of those asked lie in it.
 const RIVAL_OVERLAP: f64 = 0.2;
+/// A rival that explains this share of what the best one does is as good.
+const NEARLY: f64 = 0.75;
 /// A pair of keypoints may scale by so much less or more than the whole picture.
 const SCALE_SLACK: f64 = 1.6;
 /// How far the shift of a rival is from a multiple of a pixel's place on the sensor to be taken for fixed to it, px and rad.
@@ -47,8 +49,16 @@ pub struct Rival {
     pub asked: usize,
 }
 
+/// Where others are looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Side {
+    Target,
+    View,
+}
+
 /// A place of the view and one of the target that look alike.
 struct Named {
+    side: Side,
     asked: usize,
     pair: Correspondence,
     shape: [f64; 4],
@@ -70,16 +80,21 @@ pub fn find_rival(
     let threshold = options.threshold_px * coarse_px;
     let asked = asked(view, target, answer, threshold);
     let limits = alike_limits(view, target, &asked);
+    let view_from_target = first.target_from_view.inverse()?;
+    let (in_target, in_view) = (ELSEWHERE_PX * coarse_px, ELSEWHERE_PX * coarse_px / scale);
     let mut named = Vec::new();
-    for (k, (&[query, _], &limit)) in asked.iter().zip(&limits).enumerate() {
-        name_others(
-            view,
-            target,
-            first,
-            (k, query, limit),
-            ELSEWHERE_PX * coarse_px,
-            &mut named,
-        );
+    for (k, (&[query, train], &limit)) in asked.iter().zip(&limits).enumerate() {
+        let (v, t) = (&view.keypoints[query], &target.keypoints[train]);
+        let there = first.target_from_view.apply(point(v));
+        let like = |other| distance_sq(view, query, target, other) <= limit;
+        for other in others(target, v, scale, there, in_target, like) {
+            named.push(name(Side::Target, k, v, &target.keypoints[other]));
+        }
+        let here = view_from_target.apply(point(t));
+        let like = |other| distance_sq(view, other, target, train) <= limit;
+        for other in others(view, t, 1.0 / scale, here, in_view, like) {
+            named.push(name(Side::View, k, &view.keypoints[other], t));
+        }
     }
     let allowed = |t: &Affine2| {
         prior.allows(t)
@@ -92,14 +107,16 @@ pub fn find_rival(
         .into_iter()
         .filter_map(|t| rate(view, target, first, &asked, &named, t, threshold))
         .filter(|r| allowed(&r.target_from_view));
-    // Of equals the first one.
-    let mut best: Option<Rival> = None;
-    for rival in rated {
-        if best.is_none_or(|b| rival.places > b.places) {
-            best = Some(rival);
-        }
-    }
-    best.filter(|r| r.places >= least_places(r, target, threshold, options))
+    let rivals: Vec<Rival> = rated
+        .filter(|r| r.places >= least_places(r, target, threshold, options))
+        .collect();
+    // Of those that explain about as much, the nearest: of a lattice that is its period.
+    let most = rivals.iter().map(|r| r.places).max()?;
+    let length = |r: &Rival| f64::hypot(r.shift_px[0], r.shift_px[1]);
+    let strong = rivals
+        .into_iter()
+        .filter(|r| r.places as f64 >= NEARLY * most as f64);
+    strong.min_by(|a, b| length(a).total_cmp(&length(b)))
 }
 
 /// Agreeing pairs spread over the picture: places that lie together would vote together.
@@ -109,7 +126,6 @@ fn asked(
     answer: &Registration,
     threshold: f64,
 ) -> Vec<[usize; 2]> {
-    let point = |k: &Keypoint| [f64::from(k.x), f64::from(k.y)];
     let points: Vec<(Vec2, Vec2)> = answer
         .agreeing
         .iter()
@@ -151,43 +167,48 @@ fn alike_limits(view: &Features, target: &Features, asked: &[[usize; 2]]) -> Vec
     own.iter().map(|d| ALIKE * ALIKE * d.max(usual)).collect()
 }
 
-fn name_others(
-    view: &Features,
-    target: &Features,
-    first: &Estimate,
-    (asked, query, limit): (usize, usize, f32),
+fn point(k: &Keypoint) -> Vec2 {
+    [f64::from(k.x), f64::from(k.y)]
+}
+
+/// The nearest features that look like `asked`, a keypoint of the other picture, and lie elsewhere than `here`.
+fn others(
+    among: &Features,
+    asked: &Keypoint,
+    scale: f64,
+    here: Vec2,
     elsewhere: f64,
-    named: &mut Vec<Named>,
-) {
-    let v = &view.keypoints[query];
-    let p = [f64::from(v.x), f64::from(v.y)];
-    let here = first.target_from_view.apply(p);
-    let scale = first.target_from_view.linear.det().abs().sqrt() * f64::from(v.sigma);
-    let sizes = (scale / SCALE_SLACK) as f32..(scale * SCALE_SLACK) as f32;
-    let mut others: Vec<(f64, usize)> = Vec::new();
-    for (train, t) in target.keypoints.iter().enumerate() {
-        if t.bright != v.bright || !sizes.contains(&t.sigma) {
+    like: impl Fn(usize) -> bool,
+) -> Vec<usize> {
+    let size = scale * f64::from(asked.sigma);
+    let sizes = (size / SCALE_SLACK) as f32..(size * SCALE_SLACK) as f32;
+    let mut found: Vec<(f64, usize)> = Vec::new();
+    for (other, k) in among.keypoints.iter().enumerate() {
+        if k.bright != asked.bright || !sizes.contains(&k.sigma) {
             continue;
         }
-        let d = [f64::from(t.x) - here[0], f64::from(t.y) - here[1]];
+        let d = [f64::from(k.x) - here[0], f64::from(k.y) - here[1]];
         let away_sq = d[0] * d[0] + d[1] * d[1];
-        if away_sq > elsewhere * elsewhere && distance_sq(view, query, target, train) <= limit {
-            others.push((away_sq, train));
+        if away_sq > elsewhere * elsewhere && like(other) {
+            found.push((away_sq, other));
         }
     }
-    others.sort_by(|a, b| a.0.total_cmp(&b.0));
-    named.extend(others.iter().take(NAMED).map(|&(_, train)| {
-        let t = &target.keypoints[train];
-        Named {
-            asked,
-            pair: Correspondence {
-                p_in_a: p,
-                p_in_b: [f64::from(t.x), f64::from(t.y)],
-                sigma: 1.0,
-            },
-            shape: [v.sigma, t.sigma, v.angle, t.angle].map(f64::from),
-        }
-    }));
+    found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    found.truncate(NAMED);
+    found.into_iter().map(|f| f.1).collect()
+}
+
+fn name(side: Side, asked: usize, v: &Keypoint, t: &Keypoint) -> Named {
+    Named {
+        side,
+        asked,
+        pair: Correspondence {
+            p_in_a: point(v),
+            p_in_b: point(t),
+            sigma: 1.0,
+        },
+        shape: [v.sigma, t.sigma, v.angle, t.angle].map(f64::from),
+    }
 }
 
 /// The first transform, shifted as most of the others named are: their commonest shifts.
@@ -273,28 +294,30 @@ fn rate(
         .map(|n| n.pair)
         .collect();
     let fitted = fit_similarity_robust(&near, 0.005).map(|fit| fit.b_from_a);
-    let count = |t: &Affine2| {
-        let mut explained: Vec<usize> = named
-            .iter()
-            .filter(|n| agrees(t, n))
-            .map(|n| n.asked)
-            .collect();
+    let explained = |t: &Affine2, side: Side| {
+        let of = named.iter().filter(|n| n.side == side && agrees(t, n));
+        let mut explained: Vec<usize> = of.map(|n| n.asked).collect();
         explained.dedup();
         explained.len()
     };
+    let count = |t: &Affine2| explained(t, Side::Target).max(explained(t, Side::View));
     // Few places bend a fit: then the shape of the first transform is the better one.
     let (places, transform) = [Some(rough), fitted]
         .into_iter()
         .flatten()
         .map(|t| (count(&t), t))
         .reduce(|a, b| if b.0 > a.0 { b } else { a })?;
+    // Those that lie in the other picture at all.
+    let back = transform.inverse()?;
+    let lies_in = |p: Vec2, f: &Features| {
+        (0.0..f.width as f64).contains(&p[0]) && (0.0..f.height as f64).contains(&p[1])
+    };
+    let in_target = explained(&transform, Side::Target) == places;
     let inside = asked
         .iter()
-        .filter(|[q, _]| {
-            let k = &view.keypoints[*q];
-            let p = transform.apply([f64::from(k.x), f64::from(k.y)]);
-            (0.0..target.width as f64).contains(&p[0])
-                && (0.0..target.height as f64).contains(&p[1])
+        .filter(|[q, t]| match in_target {
+            true => lies_in(transform.apply(point(&view.keypoints[*q])), target),
+            false => lies_in(back.apply(point(&target.keypoints[*t])), view),
         })
         .count();
     if (inside as f64) < RIVAL_OVERLAP * asked.len() as f64 {

@@ -138,13 +138,6 @@ impl SaveTarget {
         let free = seen.fixed.without(&target.features).into_owned();
         let moves = |k: &&scopeservo_sift::Keypoint| seen.parallax.of_keypoint(k) == Place::Moved;
         let moved = free.keypoints.iter().filter(moves).count();
-        if moved < MIN_TARGET_FEATURES {
-            return Err(ServoError::PoorTarget {
-                features: all,
-                moved: Some(moved),
-                needed: MIN_TARGET_FEATURES,
-            });
-        }
         target.features = free;
         target.moved = Some(moved);
         let second = seen.fixed_free();
@@ -155,6 +148,13 @@ impl SaveTarget {
         self.refuse_repetition(&target, image, (&seen.image, &second), &prior, |p| {
             !seen.fixed.holds(p)
         })?;
+        if moved < MIN_TARGET_FEATURES {
+            return Err(ServoError::PoorTarget {
+                features: all,
+                moved: Some(moved),
+                needed: MIN_TARGET_FEATURES,
+            });
+        }
         Ok(target)
     }
 

@@ -3,7 +3,7 @@
 use crate::Outcome;
 use crate::run::{Bench, Record, code};
 use crate::scene::Scene;
-use scopeservo_registration::{Options, Prior, register};
+use scopeservo_registration::{Allow, Options, PictureVerdict, Prior, register_pictures};
 use scopeservo_scope::Frame;
 use scopeservo_sift::{GrayImage, Sift};
 use scopeservo_twin::Truth;
@@ -17,18 +17,27 @@ fn look(view: &Frame, target: &Frame) -> Outcome<Found> {
         max_features: 2000,
         ..Default::default()
     })?;
-    let mut features = |frame: &Frame| -> Outcome<_> {
-        let image = GrayImage::new(frame.width, frame.height, frame.luminance())?;
-        Ok(sift.detect_and_describe(&image))
-    };
-    let (seen, wanted) = (features(view)?, features(target)?);
-    let answer = register(&seen, &wanted, &Prior::default(), &Options::default());
-    Ok(match &answer.outcome {
-        Ok(estimate) => {
+    let gray = |frame: &Frame| GrayImage::new(frame.width, frame.height, frame.luminance());
+    let (view_image, target_image) = (gray(view)?, gray(target)?);
+    let seen = sift.detect_and_describe(&view_image);
+    let wanted = sift.detect_and_describe(&target_image);
+    let (answer, verdict) = register_pictures(
+        &mut sift,
+        (&view_image, &seen),
+        (&target_image, &wanted),
+        &Prior::default(),
+        &Options::default(),
+        Allow::default(),
+    )?;
+    Ok(match verdict {
+        PictureVerdict::Found { estimate, .. } => {
             let centre = estimate.target_from_view.apply(centre_px(view));
             Ok((centre, estimate.sigma_px, answer.inliers))
         }
-        Err(reason) => Err(code(reason)?),
+        PictureVerdict::Suspect { .. } => Err("suspect".into()),
+        PictureVerdict::Ambiguous { .. } => Err("ambiguous".into()),
+        PictureVerdict::Mirrored { .. } => Err("mirrored".into()),
+        PictureVerdict::NotFound(reason) => Err(code(&reason)?),
     })
 }
 

@@ -8,7 +8,8 @@ use scopeservo_scope::{
 };
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Calibration, Event, FrameRole, NoSink, Reposition,
-    RepositionOptions, ServoEnd, ServoError, Sink, Stamped, Target, VisionOptions, run,
+    RepositionOptions, SaveOptions, SaveTarget, ServoEnd, ServoError, Sink, Stamped, Target,
+    VisionOptions, run,
 };
 use scopeservo_twin::{Truth, Twin, specimen::Specimen, specimen::Tissue};
 use serde::{Deserialize, Serialize};
@@ -179,7 +180,7 @@ impl Sink for Last {
 
 /// Saves the view as the program does. An error that is no fault is a refusal.
 fn save(scope: &Scope, sink: &mut dyn Sink) -> Result<Target, ServoError> {
-    Target::save(scope, &VisionOptions::default(), sink)
+    run(&mut SaveTarget::new(SaveOptions::default()), scope, sink)
 }
 
 /// Saves, displaces, repositions, and compares with the truth.

@@ -1,0 +1,289 @@
+//! What is fixed to the camera, what repeats itself and what does not rest is never arrived at.
+
+mod common;
+
+use common::{Bench, Listener, PLACE_UM, bench, bench_over, one_objective, options};
+use scopeservo_scope::{Axis, ObjectiveId};
+use scopeservo_servo::{
+    Calibrate, CalibrateOptions, Calibration, Event, NoSink, Outcome, Reason, Reposition,
+    SaveOptions, SaveTarget, ServoError, Target, Verdict, VisionOptions, run,
+};
+use scopeservo_twin::specimen::Specimen;
+use scopeservo_twin::{
+    Blank, Config, DustConfig, Lattice, LatticeConfig, MadeSpecimen, Mark, Sparse, SparseConfig, StageConfig, StageFault, TwiceConfig,
+};
+use std::sync::Arc;
+
+/// Turning plate without a focus drive: runs of few frames.
+fn by_hand() -> Config {
+    let mut stage = StageConfig::xyz_theta();
+    stage.axes.retain(|a| a.axis != Axis::Z);
+    one_objective().with_stage(stage)
+}
+
+/// The calibration of [`by_hand`], made on dense tissue without dust.
+fn calibration() -> (ObjectiveId, Calibration) {
+    let bench = bench(by_hand());
+    let objective = bench.scope.gate().objectives()[0].clone();
+    let mut calibrate = Calibrate::new(
+        objective.clone(),
+        CalibrateOptions::default(),
+        VisionOptions::default(),
+    );
+    let made = run(&mut calibrate, &bench.scope, &mut NoSink).unwrap();
+    (objective.id, made)
+}
+
+fn hard_dust() -> DustConfig {
+    DustConfig {
+        specks: 40,
+        radius_px: [4.0, 12.0],
+        attenuation: [0.3, 0.8],
+        steepness: [15, 40],
+        ..DustConfig::default()
+    }
+}
+
+fn soft_shadows() -> DustConfig {
+    DustConfig {
+        specks: 30,
+        radius_px: [4.0, 12.0],
+        attenuation: [0.15, 0.15],
+        ..DustConfig::default()
+    }
+}
+
+fn sparse() -> Arc<dyn Specimen> {
+    Arc::new(Sparse::new(SparseConfig { per_mm2: 400.0, ..SparseConfig::default() }).unwrap())
+}
+
+fn lattice(pitch_um: f64, disorder: f64) -> Arc<dyn Specimen> {
+    let config = LatticeConfig {
+        pitch_um,
+        disorder,
+        ..LatticeConfig::default()
+    };
+    Arc::new(Lattice::new(config).unwrap())
+}
+
+/// Dust, and what is saved of it.
+fn over(specimen: Arc<dyn Specimen>, dust: &[DustConfig]) -> Bench {
+    let bench = bench_over(by_hand(), specimen, Vec::new());
+    bench.twin.clean_window();
+    bench.twin.settle_dust(dust, 3).unwrap();
+    bench
+}
+
+fn save(bench: &Bench) -> Result<Target, ServoError> {
+    run(&mut SaveTarget::new(SaveOptions::default()), &bench.scope, &mut NoSink)
+}
+
+/// Saved without a move, so with all that is on the camera.
+fn save_still(bench: &Bench) -> Target {
+    Target::save(&bench.scope, &VisionOptions::default(), &mut NoSink).unwrap()
+}
+
+/// The answer, and how often the stage stepped aside for it.
+fn go(bench: &Bench, target: Target) -> (Outcome, usize) {
+    let mut asides = 0;
+    let mut run_to = Reposition::new(target, options()).with_calibrations([calibration()]);
+    let outcome = run(
+        &mut run_to,
+        &bench.scope,
+        &mut Listener(|event: &Event| {
+            asides += usize::from(matches!(event, Event::SteppedAside { .. }));
+        }),
+    )
+    .unwrap();
+    (outcome, asides)
+}
+
+/// Whatever it says, it does not say that it arrived where it did not.
+fn is_true(bench: &Bench, outcome: &Outcome, aim: &scopeservo_twin::Truth) {
+    let (um, deg) = bench.error_from(aim);
+    if outcome.verdict == Verdict::Arrived {
+        assert!(um <= 1.0 && deg <= 0.05, "false arrival: {um} um, {deg} deg: {}", outcome.message);
+    }
+}
+
+#[test]
+fn sparse_tissue_behind_dust_is_arrived_at_however_the_dust_came() {
+    for dust in [hard_dust(), soft_shadows()] {
+        for (at_saving, coming_back) in [(true, true), (true, false), (false, true)] {
+            let bench = over(sparse(), &[]);
+            let lies = |there: bool| {
+                bench.twin.clean_window();
+                if there {
+                    bench.twin.settle_dust(std::slice::from_ref(&dust), 3).unwrap();
+                }
+            };
+            lies(at_saving);
+            let aim = bench.twin.truth_now();
+            let target = save(&bench).unwrap();
+            bench.twin.remount(PLACE_UM, [38.0, -24.0], 1.0, false);
+            lies(coming_back);
+            let (outcome, _) = go(&bench, target);
+            is_true(&bench, &outcome, &aim);
+            assert_eq!(outcome.verdict, Verdict::Arrived, "{at_saving} {coming_back}: {}", outcome.message);
+        }
+    }
+}
+
+#[test]
+fn a_target_saved_with_its_dust_before_anybody_looked_is_found_by_its_tissue() {
+    let bench = over(sparse(), &[hard_dust()]);
+    let aim = bench.twin.truth_now();
+    let target = save_still(&bench);
+    bench.twin.remount(PLACE_UM, [38.0, -24.0], 1.0, false);
+    let (outcome, _) = go(&bench, target);
+    is_true(&bench, &outcome, &aim);
+    assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
+}
+
+#[test]
+fn blank_glass_with_dust_text_or_a_reticle_is_not_saved() {
+    let marks = [
+        Mark::Text { text: "SAMPLE 7 40X".into(), at_px: [20, 20], dot_px: 3, level: 0.0, box_level: None },
+        Mark::StagePlace { at_px: [20, 440], dot_px: 2, level: 1.0, box_level: Some(0.0) },
+        Mark::Reticle { centre_px: [320.0, 240.0], arm_px: 200.0, line_px: 2.0, tick_px: 20.0, circles_px: vec![60.0], attenuation: 0.9 },
+    ];
+    let mut config = by_hand();
+    config.camera.marks = marks.to_vec();
+    let bench = bench_over(config, Arc::new(Blank), Vec::new());
+    bench.twin.settle_dust(&[hard_dust()], 3).unwrap();
+    let before = bench.scope.gate().position().unwrap();
+    let refusal = save(&bench).unwrap_err();
+    assert!(
+        matches!(refusal, ServoError::NothingMoves { .. } | ServoError::PoorTarget { .. }),
+        "{refusal}"
+    );
+    let after = bench.scope.gate().position().unwrap();
+    for axis in [Axis::X, Axis::Y] {
+        let moved = (after.si(axis).unwrap() - before.si(axis).unwrap()).abs();
+        assert!(moved < 1e-6, "the stage is back: {moved}");
+    }
+}
+
+#[test]
+fn when_only_the_camera_agrees_the_run_says_that_nothing_moves() {
+    let bench = over(Arc::new(Blank), &[hard_dust()]);
+    let target = save_still(&bench);
+    let (outcome, _) = go(&bench, target);
+    assert_eq!((outcome.verdict, outcome.reason), (Verdict::Refused, Reason::NothingMoves), "{}", outcome.message);
+    assert_eq!(outcome.estimated_error_um, None, "of dust nothing is claimed");
+}
+
+#[test]
+fn a_lattice_is_refused_at_saving_and_a_target_of_one_is_ambiguous() {
+    for pitch_um in [8.0, 20.0, 60.0] {
+        let bench = over(lattice(pitch_um, 0.0), &[]);
+        let refusal = save(&bench).unwrap_err();
+        let ServoError::Repeats { rival, .. } = &refusal else {
+            panic!("{pitch_um}: {refusal}");
+        };
+        // The period that is named is one of the lattice.
+        let um = rival.shift_px.map(|v| v * 0.51 / pitch_um);
+        for periods in um {
+            assert!((periods - periods.round()).abs() < 0.1, "{pitch_um}: {um:?}");
+        }
+        let aim = bench.twin.truth_now();
+        let target = save_still(&bench);
+        bench.twin.remount(PLACE_UM, [0.45 * pitch_um, 1.55 * pitch_um], 0.0, false);
+        let (outcome, _) = go(&bench, target);
+        is_true(&bench, &outcome, &aim);
+        assert_ne!(outcome.verdict, Verdict::Arrived, "{pitch_um}: {}", outcome.message);
+    }
+}
+
+#[test]
+fn disorder_and_one_odd_cell_tell_a_lattice_apart() {
+    let odd = LatticeConfig {
+        pitch_um: 40.0,
+        odd_cell: Some([7, 2]),
+        ..LatticeConfig::default()
+    };
+    let odd: Arc<dyn Specimen> = Arc::new(Lattice::new(odd).unwrap());
+    for (name, specimen) in [("disorder", lattice(40.0, 0.05)), ("odd", odd)] {
+        let bench = over(specimen, &[]);
+        let aim = bench.twin.truth_now();
+        let target = save(&bench).unwrap_or_else(|e| panic!("{name}: {e}"));
+        bench.twin.remount(PLACE_UM, [30.0, -18.0], 0.5, false);
+        let (outcome, _) = go(&bench, target);
+        is_true(&bench, &outcome, &aim);
+        assert_eq!(outcome.verdict, Verdict::Arrived, "{name}: {}", outcome.message);
+    }
+}
+
+#[test]
+fn an_ordinary_run_makes_no_move_for_the_proof_and_one_that_begins_at_the_goal_steps_aside_once() {
+    let bench = over(Arc::new(scopeservo_twin::specimen::Tissue::new(7)), &[]);
+    let aim = bench.twin.truth_now();
+    let target = save(&bench).unwrap();
+    assert!(target.moved.unwrap() > 500);
+    let (outcome, asides) = go(&bench, target.clone());
+    assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
+    assert_eq!(asides, 1);
+    bench.twin.remount(PLACE_UM, [38.0, -24.0], 2.0, false);
+    let (outcome, asides) = go(&bench, target);
+    assert_eq!((outcome.verdict, asides), (Verdict::Arrived, 0), "{}", outcome.message);
+    assert!(bench.error_from(&aim).0 <= 1.0);
+}
+
+#[test]
+fn a_stage_with_20_um_of_play_is_no_obstacle() {
+    let mut config = by_hand();
+    for axis in &mut config.stage.axes {
+        if !axis.axis.is_rotation() {
+            axis.backlash = 20.0;
+        }
+    }
+    let bench = bench_over(config, Arc::new(scopeservo_twin::specimen::Tissue::new(7)), Vec::new());
+    let target = save(&bench).unwrap();
+    assert!(target.moved.unwrap() > 500);
+}
+
+#[test]
+fn a_view_that_drifts_is_refused_with_its_speed() {
+    let bench = over(Arc::new(scopeservo_twin::specimen::Tissue::new(7)), &[]);
+    let target = save(&bench).unwrap();
+    bench.twin.remount(PLACE_UM, [38.0, -24.0], 1.0, false);
+    bench.twin.fault(StageFault::Drift { um_per_s: [1.0, 0.0, 0.0] });
+    let (outcome, _) = go(&bench, target);
+    assert_eq!((outcome.verdict, outcome.reason), (Verdict::Refused, Reason::Drifting), "{}", outcome.message);
+    assert!(outcome.message.contains("um per second"), "{}", outcome.message);
+}
+
+/// Tissue in which the whole target is there twice, 500 um apart: the weakest objective sees both.
+#[test]
+fn a_target_that_is_there_twice_in_the_widest_view_is_ambiguous() {
+    let mut stage = StageConfig::xyz_theta();
+    stage.axes.retain(|a| a.axis != Axis::Z);
+    let config = Config::realistic().with_stage(stage);
+    let twice = MadeSpecimen::Twice(TwiceConfig {
+        seed: 7,
+        original_um: PLACE_UM,
+        copy_um: [PLACE_UM[0] + 500.0, PLACE_UM[1]],
+        size_um: [450.0, 350.0],
+    });
+    let bench = bench_over(config, twice.make().unwrap(), Vec::new());
+    let mut known = Vec::new();
+    for objective in bench.scope.gate().objectives().to_vec() {
+        bench.scope.select_objective(&objective.id).unwrap();
+        let (options, vision) = (CalibrateOptions::default(), VisionOptions::default());
+        let mut calibrate = Calibrate::new(objective.clone(), options, vision);
+        let made = run(&mut calibrate, &bench.scope, &mut NoSink).unwrap();
+        known.push((objective.id, made));
+    }
+    bench.twin.centre_specimen(PLACE_UM, 0.0);
+    let target = save(&bench).unwrap();
+    bench.twin.remount(PLACE_UM, [-220.0, 60.0], 1.0, false);
+    let mut reposition = Reposition::new(target, options()).with_calibrations(known);
+    let outcome = run(&mut reposition, &bench.scope, &mut NoSink).unwrap();
+    assert_eq!(
+        (outcome.verdict, outcome.reason),
+        (Verdict::Ambiguous, Reason::Ambiguous),
+        "{}",
+        outcome.message
+    );
+    assert!(outcome.message.contains("500"), "the other place is named: {}", outcome.message);
+}
