@@ -217,7 +217,6 @@ fn bad_descriptions_and_names_are_said_before_anything_moves() {
         vec!["twin", "serve", "--listen", "0.0.0.0:0"],
         vec!["twin", "serve", "--listen", "nowhere"],
         vec!["twin", "serve", "--described-in", "no.toml"],
-        vec!["twin", "serve", "--described-in", "scopeservo.toml"],
     ] {
         assert_bad_input(here, &args);
     }
