@@ -145,6 +145,25 @@ impl Scene {
         }
     }
 
+    /// What else there is to know of it.
+    pub(crate) fn note(&self) -> String {
+        let mut notes = Vec::new();
+        if self.instrument.by_hand {
+            notes.push("no focus drive");
+        }
+        notes.extend(
+            self.fault
+                .as_ref()
+                .map(|f| f.story)
+                .filter(|s| !s.is_empty()),
+        );
+        if let MadeSpecimen::Lattice(lattice) = &self.specimen {
+            notes.extend(lattice.numbered.then_some("numbered"));
+            notes.extend(lattice.odd_cell.map(|_| "a cell is missing"));
+        }
+        notes.join(", ")
+    }
+
     /// Whether the slide lies off by no multiple of the period: a tenth of it at least.
     fn is_off_the_lattice(&self) -> bool {
         let MadeSpecimen::Lattice(lattice) = &self.specimen else {
