@@ -217,7 +217,6 @@ fn bad_descriptions_and_names_are_said_before_anything_moves() {
         vec!["twin", "serve", "--listen", "0.0.0.0:0"],
         vec!["twin", "serve", "--listen", "nowhere"],
         vec!["twin", "serve", "--described-in", "no.toml"],
-        vec!["twin", "serve", "--described-in", "scopeservo.toml"],
     ] {
         assert_bad_input(here, &args);
     }
@@ -245,17 +244,44 @@ fn bad_descriptions_and_names_are_said_before_anything_moves() {
 fn the_simulated_microscope_as_a_driver_passes_its_check() {
     let dir = tempfile::tempdir().unwrap();
     let program = env!("CARGO_BIN_EXE_scopeservo");
+    let check = ok(
+        dir.path(),
+        &[
+            "driver",
+            "check",
+            "--retract-z-um",
+            "-2000",
+            "--json",
+            "--",
+            program,
+            "twin",
+            "serve",
+        ],
+    );
+    assert_eq!(check["ok"], true, "{check}");
+    assert!(check["findings"].as_array().unwrap().len() >= 15, "{check}");
+}
+
+#[test]
+fn the_microscope_that_a_file_describes_is_served() {
+    let dir = tempfile::tempdir().unwrap();
+    let program = env!("CARGO_BIN_EXE_scopeservo");
     describe(
         dir.path(),
-        "camera.dust = [{ specks = 40, radius_px = [2, 12], steepness = [1, 60] }]",
+        "made.sparse.per_mm2 = 3000\ncamera.width = 64\ncamera.height = 48\ncamera.dust = [{ specks = 3 }]",
     );
-    for described in [&[][..], &["--described-in", "scopeservo.toml"]] {
-        let check = ["driver", "check", "--retract-z-um", "-2000", "--json", "--"];
-        let serve = [program, "twin", "serve"];
-        let check = ok(dir.path(), &[&check[..], &serve, described].concat());
-        assert_eq!(check["ok"], true, "{check}");
-        assert!(check["findings"].as_array().unwrap().len() >= 15, "{check}");
-    }
+    let check = ["driver", "check", "--retract-z-um", "-2000", "--json", "--"];
+    let serve = [
+        program,
+        "twin",
+        "serve",
+        "--described-in",
+        "scopeservo.toml",
+    ];
+    let check = ok(dir.path(), &[&check[..], &serve].concat());
+    assert_eq!(check["ok"], true, "{check}");
+    let hello = check["findings"][0]["said"].as_str().unwrap();
+    assert!(hello.contains("64 x 48 px"), "{hello}");
 }
 
 #[test]

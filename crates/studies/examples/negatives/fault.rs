@@ -13,6 +13,8 @@ pub(crate) struct CameraFault {
     saved: Option<Dust>,
     /// ...and while it is looked for.
     back: Option<Dust>,
+    /// What the dust does in between.
+    pub(crate) story: &'static str,
 }
 
 /// Dust, drawn from a seed.
@@ -100,11 +102,11 @@ fn lie(fault: &mut CameraFault, kinds: Vec<DustConfig>, rng: &mut SplitMix64) {
         })
     };
     let (first, other) = (dust(), dust());
-    (fault.saved, fault.back) = match rng.below(8) {
-        0 => (None, first),
-        1 => (first, None),
-        2 => (first, other),
-        _ => (first.clone(), first),
+    (fault.story, fault.saved, fault.back) = match rng.below(8) {
+        0 => ("the dust came", None, first),
+        1 => ("the dust went", first, None),
+        2 => ("other dust came", first, other),
+        _ => ("", first.clone(), first),
     };
 }
 

@@ -28,28 +28,28 @@ type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
 #[derive(Parser)]
 struct Args {
     /// Units of each family.
-    #[arg(long, default_value_t = 100)]
+    #[arg(long, global = true, default_value_t = 100)]
     count: u64,
     /// The first unit's number.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, global = true, default_value_t = 0)]
     first: u64,
     /// Only these families.
-    #[arg(long)]
+    #[arg(long, global = true)]
     family: Vec<Family>,
     /// Only kinds whose name contains this, such as "soft dust" or "grating".
-    #[arg(long, default_value = "")]
+    #[arg(long, global = true, default_value = "")]
     kind: String,
     /// 40x alone, or all three.
-    #[arg(long, default_value_t = 1, value_parser = objectives)]
+    #[arg(long, global = true, default_value_t = 1, value_parser = objectives)]
     objectives: usize,
     /// Threads; all processors unless told.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, global = true, default_value_t = 0)]
     threads: usize,
     /// Which part of the units, such as 2/3: the table is of that part.
-    #[arg(long, value_parser = shard, default_value = "1/1")]
+    #[arg(long, global = true, value_parser = shard, default_value = "1/1")]
     shard: [u64; 2],
     /// Where units are kept; what lies there is not run again. A new folder for a new build.
-    #[arg(long, default_value = "target/negatives")]
+    #[arg(long, global = true, default_value = "target/negatives")]
     out: PathBuf,
     #[command(subcommand)]
     mode: Option<Mode>,
@@ -57,7 +57,7 @@ struct Args {
 
 #[derive(Subcommand)]
 enum Mode {
-    /// A few units of each family, in a folder of its own that is emptied first.
+    /// Eight units of each family, in a folder of its own that is emptied first.
     Quick,
 }
 
@@ -85,7 +85,7 @@ fn main() -> Outcome<()> {
         args.threads = std::thread::available_parallelism()?.get();
     }
     if let Some(Mode::Quick) = args.mode {
-        args.count = 10;
+        args.count = 8;
         args.out = args.out.join("quick");
         if args.out.exists() {
             std::fs::remove_dir_all(&args.out)?;

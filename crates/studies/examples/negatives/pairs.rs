@@ -55,13 +55,7 @@ pub(crate) fn pair(scene: &Scene, index: u64) -> Outcome<Record> {
             .ok_or("the twin forgot a frame")
     };
     let right = pixel_of(&truth(&target)?, truth(&view)?.specimen(centre_px(&view)));
-    let mut record = Record {
-        kind: scene.kind.clone(),
-        index,
-        faulty: true,
-        pitch_px: scene.pitch_px,
-        ..Record::default()
-    };
+    let mut record = Record::of(scene, index);
     match look(&view, &target)? {
         Ok((centre, sigma_px, inliers)) => {
             let off_px = (centre[0] - right[0]).hypot(centre[1] - right[1]);

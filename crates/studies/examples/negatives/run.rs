@@ -22,6 +22,9 @@ use std::sync::Arc;
 pub(crate) struct Record {
     /// Groups the table.
     pub(crate) kind: String,
+    /// What else there is to know of the scene.
+    #[serde(default)]
+    pub(crate) note: String,
     /// Which number it has in its family.
     pub(crate) index: u64,
     /// Whether something was fixed to the camera.
@@ -50,6 +53,20 @@ pub(crate) struct Record {
     pub(crate) seconds: f64,
     /// A sure answer that is wrong.
     pub(crate) wrong: bool,
+}
+
+impl Record {
+    /// Of a scene that nothing was made of yet.
+    pub(crate) fn of(scene: &Scene, index: u64) -> Self {
+        Self {
+            kind: scene.kind.clone(),
+            note: scene.note(),
+            index,
+            faulty: true,
+            pitch_px: scene.pitch_px,
+            ..Self::default()
+        }
+    }
 }
 
 /// Calibrations of each instrument.
@@ -191,11 +208,8 @@ pub(crate) fn whole(
     known: &[(ObjectiveId, Calibration)],
 ) -> Outcome<Record> {
     let mut record = Record {
-        kind: scene.kind.clone(),
-        index,
         faulty,
-        pitch_px: scene.pitch_px,
-        ..Record::default()
+        ..Record::of(scene, index)
     };
     let bench = Bench::at_target(scene, faulty)?;
     let mut last = Last::default();

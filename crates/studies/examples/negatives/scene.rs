@@ -4,9 +4,7 @@ use crate::fault::{CameraFault, draw_fault};
 use clap::ValueEnum;
 use scopeservo_geometry::SplitMix64;
 use scopeservo_scope::Axis;
-use scopeservo_twin::{
-    CellKind, Config, LatticeConfig, LatticeKind, MadeSpecimen, SparseConfig, StageConfig,
-};
+use scopeservo_twin::{CellKind, Config, LatticeConfig, LatticeKind, MadeSpecimen, SparseConfig};
 use serde::{Deserialize, Serialize};
 
 /// What is tried.
@@ -51,7 +49,7 @@ pub(crate) struct Scene {
 pub(crate) struct Instrument {
     /// Of offsets, noise and pattern.
     pub(crate) seed: u64,
-    /// A turning plate without a focus drive, instead of a hexapod with one: no focus sweep stands in the way.
+    /// Without a focus drive: no sweep that finds nothing stands in the way.
     pub(crate) by_hand: bool,
     /// 1: 40x alone; 3: all.
     pub(crate) objectives: usize,
@@ -62,9 +60,7 @@ impl Instrument {
     pub(crate) fn config(&self) -> Config {
         let mut config = Config::realistic();
         if self.by_hand {
-            let mut stage = StageConfig::xyz_theta();
-            stage.axes.retain(|a| a.axis != Axis::Z);
-            config = config.with_stage(stage);
+            config.stage.axes.retain(|a| a.axis != Axis::Z);
             // Whoever puts the slide back focuses.
             config.slide.seat_um = 0.0;
         }
@@ -149,6 +145,25 @@ impl Scene {
         }
     }
 
+    /// What else there is to know of it.
+    pub(crate) fn note(&self) -> String {
+        let mut notes = Vec::new();
+        if self.instrument.by_hand {
+            notes.push("no focus drive");
+        }
+        notes.extend(
+            self.fault
+                .as_ref()
+                .map(|f| f.story)
+                .filter(|s| !s.is_empty()),
+        );
+        if let MadeSpecimen::Lattice(lattice) = &self.specimen {
+            notes.extend(lattice.numbered.then_some("numbered"));
+            notes.extend(lattice.odd_cell.map(|_| "a cell is missing"));
+        }
+        notes.join(", ")
+    }
+
     /// Whether the slide lies off by no multiple of the period: a tenth of it at least.
     fn is_off_the_lattice(&self) -> bool {
         let MadeSpecimen::Lattice(lattice) = &self.specimen else {
@@ -178,7 +193,7 @@ fn draw_sparse(rng: &mut SplitMix64) -> (&'static str, MadeSpecimen) {
     let smear = |rng: &mut SplitMix64, contrast: [f64; 2]| {
         MadeSpecimen::Sparse(SparseConfig {
             seed,
-            per_mm2: log_between(rng, 40.0, 600.0),
+            per_mm2: log_between(rng, 60.0, 900.0),
             contrast: between(rng, contrast[0], contrast[1]),
             ..SparseConfig::default()
         })
@@ -200,7 +215,7 @@ fn draw_lattice(turn: u64, target_um: [f64; 2], rng: &mut SplitMix64) -> (String
         ("dies", LatticeKind::Dies),
     ];
     let (name, kind) = kinds[(turn % 5) as usize];
-    let disorder = if turn / 5 % 2 == 0 { 0.0 } else { 0.05 };
+    let disorder = [0.0, 0.05][(turn / 5 % 2) as usize];
     let pitch_um = UM_PER_PX * log_between(rng, 5.0, 200.0);
     let mut lattice = LatticeConfig {
         seed: rng.next_u64(),

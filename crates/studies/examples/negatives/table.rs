@@ -19,13 +19,19 @@ pub(crate) fn print(family: Family, objectives: usize, records: &[Record]) -> us
     }
     let wrong: Vec<&Record> = records.iter().filter(|r| r.wrong).collect();
     for r in &wrong {
+        let camera = if r.faulty { "" } else { ", camera clean" };
+        let pitch = r
+            .pitch_px
+            .map_or(String::new(), |p| format!(", pitch {p:.1} px"));
+        let note = if r.note.is_empty() {
+            String::new()
+        } else {
+            format!(", {}", r.note)
+        };
         println!(
-            "WRONG {} {} ({}{}): {} in truth, {} claimed, {} places",
+            "WRONG {} {}{camera}{pitch}{note}: {} in truth, {} claimed, {} places",
             r.kind,
             r.index,
-            if r.faulty { "with" } else { "without" },
-            r.pitch_px
-                .map_or(String::new(), |p| format!(", pitch {p:.1} px")),
             place(r.true_um, r.true_deg),
             place(r.claimed_um, None),
             r.inliers.unwrap_or(0),
@@ -145,18 +151,20 @@ fn fault_of(r: &Record) -> &str {
     r.kind.split_once(", ").map_or("?", |(_, fault)| fault)
 }
 
+/// Gratings apart: nothing tells where along its lines a view lies.
 fn lattice_power(records: &[Record]) {
     for disorder in [0, 5] {
         for wide in [false, true] {
             let of: Vec<&Record> = records
                 .iter()
+                .filter(|r| !r.kind.starts_with("grating"))
                 .filter(|r| r.kind.ends_with(&format!("disorder {disorder} %")))
                 .filter(|r| r.pitch_px.is_some_and(|p| p >= WIDE_PX) == wide)
                 .collect();
             let pitch = if wide { "from" } else { "below" };
             share(
                 &format!(
-                    "arrive of lattices with {disorder} % disorder and a pitch {pitch} {WIDE_PX} px"
+                    "arrive, gratings apart, with {disorder} % disorder and a pitch {pitch} {WIDE_PX} px"
                 ),
                 of.iter().filter(|r| sure(r) && !r.wrong).count(),
                 of.len(),
