@@ -262,7 +262,10 @@ impl Pair {
     }
 
     /// For each patch of a grid over the finer picture, its place in the view and the likeness of the coarse patch that it comes from.
-    fn look_back(&self, target_from_view: &Affine2) -> Option<Vec<(Option<Vec2>, Option<Likeness>)>> {
+    fn look_back(
+        &self,
+        target_from_view: &Affine2,
+    ) -> Option<Vec<(Option<Vec2>, Option<Likeness>)>> {
         let fine_from_coarse = self.fine_from_coarse(target_from_view)?;
         let coarse_from_fine = fine_from_coarse.inverse()?;
         let step = (PATCH_STEP as f64 / coarse_from_fine.linear.det().abs().sqrt()).max(1.0);
@@ -284,7 +287,13 @@ impl Pair {
                 }
                 let centre = at.map(|v| v as usize);
                 let place = if self.view_is_coarse { at } else { [x, y] };
-                let like = likeness(&self.coarse, &self.fine, &fine_from_coarse, centre, PATCH_RADIUS);
+                let like = likeness(
+                    &self.coarse,
+                    &self.fine,
+                    &fine_from_coarse,
+                    centre,
+                    PATCH_RADIUS,
+                );
                 seen.push((Some(place), like));
             }
         }

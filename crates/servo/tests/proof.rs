@@ -6,11 +6,12 @@ use common::{Bench, Listener, PLACE_UM, bench, bench_over, one_objective, option
 use scopeservo_scope::{Axis, ObjectiveId};
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Calibration, Event, NoSink, Outcome, Reason, Reposition,
-    SaveOptions, SaveTarget, ServoError, Target, Verdict, VisionOptions, run,
+    SaveOptions, SaveTarget, ServoEnd, ServoError, Target, Verdict, VisionOptions, run,
 };
 use scopeservo_twin::specimen::Specimen;
 use scopeservo_twin::{
-    Blank, Config, DustConfig, Lattice, LatticeConfig, MadeSpecimen, Mark, Sparse, SparseConfig, StageConfig, StageFault, TwiceConfig,
+    Blank, Config, DustConfig, Lattice, LatticeConfig, MadeSpecimen, Mark, Sparse, SparseConfig,
+    StageConfig, StageFault, TwiceConfig,
 };
 use std::sync::Arc;
 
@@ -54,7 +55,13 @@ fn soft_shadows() -> DustConfig {
 }
 
 fn sparse() -> Arc<dyn Specimen> {
-    Arc::new(Sparse::new(SparseConfig { per_mm2: 400.0, ..SparseConfig::default() }).unwrap())
+    Arc::new(
+        Sparse::new(SparseConfig {
+            per_mm2: 400.0,
+            ..SparseConfig::default()
+        })
+        .unwrap(),
+    )
 }
 
 fn lattice(pitch_um: f64, disorder: f64) -> Arc<dyn Specimen> {
@@ -75,7 +82,11 @@ fn over(specimen: Arc<dyn Specimen>, dust: &[DustConfig]) -> Bench {
 }
 
 fn save(bench: &Bench) -> Result<Target, ServoError> {
-    run(&mut SaveTarget::new(SaveOptions::default()), &bench.scope, &mut NoSink)
+    run(
+        &mut SaveTarget::new(SaveOptions::default()),
+        &bench.scope,
+        &mut NoSink,
+    )
 }
 
 /// Saved without a move, so with all that is on the camera.
@@ -102,7 +113,11 @@ fn go(bench: &Bench, target: Target) -> (Outcome, usize) {
 fn is_true(bench: &Bench, outcome: &Outcome, aim: &scopeservo_twin::Truth) {
     let (um, deg) = bench.error_from(aim);
     if outcome.verdict == Verdict::Arrived {
-        assert!(um <= 1.0 && deg <= 0.05, "false arrival: {um} um, {deg} deg: {}", outcome.message);
+        assert!(
+            um <= 1.0 && deg <= 0.05,
+            "false arrival: {um} um, {deg} deg: {}",
+            outcome.message
+        );
     }
 }
 
@@ -114,7 +129,10 @@ fn sparse_tissue_behind_dust_is_arrived_at_however_the_dust_came() {
             let lies = |there: bool| {
                 bench.twin.clean_window();
                 if there {
-                    bench.twin.settle_dust(std::slice::from_ref(&dust), 3).unwrap();
+                    bench
+                        .twin
+                        .settle_dust(std::slice::from_ref(&dust), 3)
+                        .unwrap();
                 }
             };
             lies(at_saving);
@@ -124,7 +142,12 @@ fn sparse_tissue_behind_dust_is_arrived_at_however_the_dust_came() {
             lies(coming_back);
             let (outcome, _) = go(&bench, target);
             is_true(&bench, &outcome, &aim);
-            assert_eq!(outcome.verdict, Verdict::Arrived, "{at_saving} {coming_back}: {}", outcome.message);
+            assert_eq!(
+                outcome.verdict,
+                Verdict::Arrived,
+                "{at_saving} {coming_back}: {}",
+                outcome.message
+            );
         }
     }
 }
@@ -143,9 +166,27 @@ fn a_target_saved_with_its_dust_before_anybody_looked_is_found_by_its_tissue() {
 #[test]
 fn blank_glass_with_dust_text_or_a_reticle_is_not_saved() {
     let marks = [
-        Mark::Text { text: "SAMPLE 7 40X".into(), at_px: [20, 20], dot_px: 3, level: 0.0, box_level: None },
-        Mark::StagePlace { at_px: [20, 440], dot_px: 2, level: 1.0, box_level: Some(0.0) },
-        Mark::Reticle { centre_px: [320.0, 240.0], arm_px: 200.0, line_px: 2.0, tick_px: 20.0, circles_px: vec![60.0], attenuation: 0.9 },
+        Mark::Text {
+            text: "SAMPLE 7 40X".into(),
+            at_px: [20, 20],
+            dot_px: 3,
+            level: 0.0,
+            box_level: None,
+        },
+        Mark::StagePlace {
+            at_px: [20, 440],
+            dot_px: 2,
+            level: 1.0,
+            box_level: Some(0.0),
+        },
+        Mark::Reticle {
+            centre_px: [320.0, 240.0],
+            arm_px: 200.0,
+            line_px: 2.0,
+            tick_px: 20.0,
+            circles_px: vec![60.0],
+            attenuation: 0.9,
+        },
     ];
     let mut config = by_hand();
     config.camera.marks = marks.to_vec();
@@ -154,7 +195,10 @@ fn blank_glass_with_dust_text_or_a_reticle_is_not_saved() {
     let before = bench.scope.gate().position().unwrap();
     let refusal = save(&bench).unwrap_err();
     assert!(
-        matches!(refusal, ServoError::NothingMoves { .. } | ServoError::PoorTarget { .. }),
+        matches!(
+            refusal,
+            ServoError::NothingMoves { .. } | ServoError::PoorTarget { .. }
+        ),
         "{refusal}"
     );
     let after = bench.scope.gate().position().unwrap();
@@ -169,8 +213,16 @@ fn when_only_the_camera_agrees_the_run_says_that_nothing_moves() {
     let bench = over(Arc::new(Blank), &[hard_dust()]);
     let target = save_still(&bench);
     let (outcome, _) = go(&bench, target);
-    assert_eq!((outcome.verdict, outcome.reason), (Verdict::Refused, Reason::NothingMoves), "{}", outcome.message);
-    assert_eq!(outcome.estimated_error_um, None, "of dust nothing is claimed");
+    assert_eq!(
+        (outcome.verdict, outcome.reason),
+        (Verdict::Refused, Reason::NothingMoves),
+        "{}",
+        outcome.message
+    );
+    assert_eq!(
+        outcome.estimated_error_um, None,
+        "of dust nothing is claimed"
+    );
 }
 
 #[test]
@@ -184,14 +236,24 @@ fn a_lattice_is_refused_at_saving_and_a_target_of_one_is_ambiguous() {
         // The period that is named is one of the lattice.
         let um = rival.shift_px.map(|v| v * 0.51 / pitch_um);
         for periods in um {
-            assert!((periods - periods.round()).abs() < 0.1, "{pitch_um}: {um:?}");
+            assert!(
+                (periods - periods.round()).abs() < 0.1,
+                "{pitch_um}: {um:?}"
+            );
         }
         let aim = bench.twin.truth_now();
         let target = save_still(&bench);
-        bench.twin.remount(PLACE_UM, [0.45 * pitch_um, 1.55 * pitch_um], 0.0, false);
+        bench
+            .twin
+            .remount(PLACE_UM, [0.45 * pitch_um, 1.55 * pitch_um], 0.0, false);
         let (outcome, _) = go(&bench, target);
         is_true(&bench, &outcome, &aim);
-        assert_ne!(outcome.verdict, Verdict::Arrived, "{pitch_um}: {}", outcome.message);
+        assert_ne!(
+            outcome.verdict,
+            Verdict::Arrived,
+            "{pitch_um}: {}",
+            outcome.message
+        );
     }
 }
 
@@ -210,7 +272,12 @@ fn disorder_and_one_odd_cell_tell_a_lattice_apart() {
         bench.twin.remount(PLACE_UM, [30.0, -18.0], 0.5, false);
         let (outcome, _) = go(&bench, target);
         is_true(&bench, &outcome, &aim);
-        assert_eq!(outcome.verdict, Verdict::Arrived, "{name}: {}", outcome.message);
+        assert_eq!(
+            outcome.verdict,
+            Verdict::Arrived,
+            "{name}: {}",
+            outcome.message
+        );
     }
 }
 
@@ -225,7 +292,12 @@ fn an_ordinary_run_makes_no_move_for_the_proof_and_one_that_begins_at_the_goal_s
     assert_eq!(asides, 1);
     bench.twin.remount(PLACE_UM, [38.0, -24.0], 2.0, false);
     let (outcome, asides) = go(&bench, target);
-    assert_eq!((outcome.verdict, asides), (Verdict::Arrived, 0), "{}", outcome.message);
+    assert_eq!(
+        (outcome.verdict, asides),
+        (Verdict::Arrived, 0),
+        "{}",
+        outcome.message
+    );
     assert!(bench.error_from(&aim).0 <= 1.0);
 }
 
@@ -237,7 +309,11 @@ fn a_stage_with_20_um_of_play_is_no_obstacle() {
             axis.backlash = 20.0;
         }
     }
-    let bench = bench_over(config, Arc::new(scopeservo_twin::specimen::Tissue::new(7)), Vec::new());
+    let bench = bench_over(
+        config,
+        Arc::new(scopeservo_twin::specimen::Tissue::new(7)),
+        Vec::new(),
+    );
     let target = save(&bench).unwrap();
     assert!(target.moved.unwrap() > 500);
 }
@@ -247,10 +323,21 @@ fn a_view_that_drifts_is_refused_with_its_speed() {
     let bench = over(Arc::new(scopeservo_twin::specimen::Tissue::new(7)), &[]);
     let target = save(&bench).unwrap();
     bench.twin.remount(PLACE_UM, [38.0, -24.0], 1.0, false);
-    bench.twin.fault(StageFault::Drift { um_per_s: [1.0, 0.0, 0.0] });
+    bench.twin.fault(StageFault::Drift {
+        um_per_s: [1.0, 0.0, 0.0],
+    });
     let (outcome, _) = go(&bench, target);
-    assert_eq!((outcome.verdict, outcome.reason), (Verdict::Refused, Reason::Drifting), "{}", outcome.message);
-    assert!(outcome.message.contains("um per second"), "{}", outcome.message);
+    assert_eq!(
+        (outcome.verdict, outcome.reason),
+        (Verdict::Refused, Reason::Drifting),
+        "{}",
+        outcome.message
+    );
+    assert!(
+        outcome.message.contains("um per second"),
+        "{}",
+        outcome.message
+    );
 }
 
 /// Tissue in which the whole target is there twice, 500 um apart: the weakest objective sees both.
@@ -285,5 +372,13 @@ fn a_target_that_is_there_twice_in_the_widest_view_is_ambiguous() {
         "{}",
         outcome.message
     );
-    assert!(outcome.message.contains("500"), "the other place is named: {}", outcome.message);
+    let end = &outcome.magnifications.last().unwrap().end;
+    let ServoEnd::Ambiguous { rival, um_per_px } = end else {
+        panic!("{end:?}");
+    };
+    let away_um = um_per_px * f64::hypot(rival.shift_px[0], rival.shift_px[1]);
+    assert!(
+        (away_um - 500.0).abs() < 20.0,
+        "the other place is named: {away_um}"
+    );
 }
