@@ -14,8 +14,8 @@ const PREFIX: &str = ".scopeservo-";
 const RANDOM: usize = 6;
 /// A temporary file is younger than this, or is locked, while somebody works at it.
 const ABANDONED: Duration = Duration::from_secs(60);
-/// What a trial writes: more than fits into a folder's own entry.
-const TRIAL: [u8; 4096] = [0; 4096];
+/// What a trial writes: too much for a file system to keep within the folder itself.
+const TRIAL: [u8; 1024] = [0; 1024];
 
 /// Writes a file, and never over another: `false` when there is one of that name.
 pub(crate) fn write_new(path: &Path, bytes: &[u8]) -> io::Result<bool> {

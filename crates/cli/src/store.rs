@@ -127,11 +127,12 @@ impl Store {
     pub(crate) fn check_new_target(&self, name: &str) -> Result<(), CliError> {
         let path = self.target_file(name)?;
         check_name(name)?;
-        let mut known = self.target_names()?.into_iter();
+        self.try_targets()?;
         // A target must be found again where a file system is blind to case.
+        let mut known = self.target_names()?.into_iter();
         match known.find(|known| known.eq_ignore_ascii_case(name)) {
             Some(known) => Err(taken(&known, &path.with_file_name(format!("{known}.json")))),
-            None => self.try_targets(),
+            None => Ok(()),
         }
     }
 

@@ -179,6 +179,7 @@ fn files_that_the_documents_link_to_are_there() {
         "ARCHITECTURE.md",
         "CONVENTIONS.md",
         "CHANGELOG.md",
+        "docs/answers.md",
         "docs/measured.md",
         "docs/sift-accuracy.md",
     ] {
