@@ -19,7 +19,7 @@ const NO: u8 = 3;
 /// A fault, and an answer that could not be told.
 const FAULT: u8 = 1;
 /// So long one who leaves at once tries to say so: somebody may hang in a write that nobody reads.
-const PATIENCE: Duration = Duration::from_millis(300);
+const PATIENCE: Duration = Duration::from_secs(2);
 
 /// `eprintln!` for a reader that may have gone: then nobody is left to be told.
 macro_rules! tell {

@@ -28,7 +28,7 @@ pub(crate) enum CliError {
         least: usize,
     },
     /// Tried before anything moves.
-    #[error("cannot write to {path}: {source}. Make room there, or {instead}")]
+    #[error("cannot write to {path}: {source}. Make that possible, or {instead}")]
     CannotWrite {
         path: PathBuf,
         source: io::Error,
@@ -36,7 +36,7 @@ pub(crate) enum CliError {
         instead: &'static str,
     },
     /// Found when something was there to be kept.
-    #[error("{path} could not be kept: {what}")]
+    #[error("{path} could not be kept: {what}. Make room before the next run")]
     NotKept { path: PathBuf, what: String },
     #[error(transparent)]
     Setup(#[from] SetupError),

@@ -3,7 +3,7 @@
 //! A file is written beside its place under a temporary name, locked while somebody works at it, reaches the disk, and only then gets
 //! its name; then its folder reaches the disk too. What killed programs left is swept when the next file is written there.
 
-use std::fs::{self, File};
+use std::fs::{self, File, Metadata};
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -46,12 +46,7 @@ pub(crate) fn make_folder(folder: &Path) -> io::Result<()> {
 /// Whether files can be written into a folder, or, where it is yet to be made, into the one that it will lie in. Nothing stays.
 pub(crate) fn try_folder(folder: &Path) -> io::Result<()> {
     let nearest = folder.ancestors().find(|f| is_there(f));
-    let trial = temporary(nearest.unwrap_or(Path::new(".")), &TRIAL);
-    // What the temporary file was called tells nobody anything.
-    trial.map(drop).map_err(|e| match e.raw_os_error() {
-        Some(_) => e,
-        None => e.kind().into(),
-    })
+    temporary(nearest.unwrap_or(Path::new(".")), &TRIAL).map(drop)
 }
 
 /// Keeps other programs away from a folder for as long as the answer lives. `None` where the file system knows no locks.
@@ -87,10 +82,13 @@ fn temporary(folder: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
         use std::os::unix::fs::PermissionsExt as _;
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
-    let mut file = builder.tempfile_in(folder)?;
+    // What the temporary file would have been called tells nobody anything.
+    let mut file = builder
+        .tempfile_in(folder)
+        .map_err(|e| io::Error::from(e.kind()))?;
     // Where there are no locks its age has to do.
     let _ = file.as_file().lock();
-    file.write_all(bytes)?;
+    file.as_file_mut().write_all(bytes)?;
     file.as_file().sync_all()?;
     Ok(file)
 }
@@ -110,14 +108,16 @@ fn is_temporary(name: &str) -> bool {
         .is_some_and(|rest| rest.len() == RANDOM && rest.chars().all(|c| c.is_ascii_alphanumeric()))
 }
 
+/// Old enough, and nobody holds it.
 fn is_abandoned(path: &Path) -> bool {
-    let last_written = path.symlink_metadata().and_then(|m| {
-        m.is_file()
-            .then(|| m.modified())
-            .unwrap_or(Err(ErrorKind::InvalidInput.into()))
-    });
-    let age = last_written.map(|at| SystemTime::now().duration_since(at).unwrap_or_default());
-    age.is_ok_and(|age| age >= ABANDONED)
+    let at_rest = |file: &Metadata| {
+        let age = SystemTime::now()
+            .duration_since(file.modified().ok()?)
+            .ok()?;
+        Some(file.is_file() && age >= ABANDONED)
+    };
+    let file = path.symlink_metadata().ok();
+    file.and_then(|file| at_rest(&file)) == Some(true)
         && File::open(path).is_ok_and(|file| file.try_lock().is_ok())
 }
 

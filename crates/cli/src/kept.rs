@@ -58,13 +58,12 @@ pub(crate) fn judge(calibration: &Calibration, objective: &Objective) -> Result<
     if !numbers.all(|v| v.abs() < LARGEST_M) || !variances.into_iter().all(|v| v >= 0.0) {
         return Err("its numbers are those of no calibration".into());
     }
-    // Not a number is no better than too much.
-    if !(factor <= rules.nominal_factor) {
+    if factor > rules.nominal_factor {
         return Err(format!(
             "it gives {measured:.3} um per pixel where {nominal:.3} is engraved"
         ));
     }
-    if !(large <= rules.anisotropy * small) {
+    if large > rules.anisotropy * small {
         return Err(format!(
             "a pixel would be {:.2} times longer one way than the other",
             large / small

@@ -16,7 +16,11 @@ pub(crate) fn word(verdict: Verdict) -> &'static str {
 /// The command that this run is.
 pub(crate) fn command_line() -> String {
     std::iter::once("scopeservo".to_string())
-        .chain(std::env::args().skip(1))
+        .chain(
+            std::env::args_os()
+                .skip(1)
+                .map(|a| a.to_string_lossy().into_owned()),
+        )
         .collect::<Vec<_>>()
         .join(" ")
 }

@@ -168,9 +168,14 @@ impl Store {
         }
         // A picture alone is what a killed program left. The file that makes the target exist comes last.
         files::replace(&picture, &png).map_err(CliError::not_kept(&picture))?;
-        match write_new(&path, &bytes).map_err(CliError::not_kept(&path))? {
-            true => Ok(path),
-            false => Err(taken(name, &path)),
+        match write_new(&path, &bytes) {
+            Ok(true) => Ok(path),
+            Ok(false) => Err(taken(name, &path)),
+            Err(error) => {
+                // Of no use alone. It is no obstacle either, should it stay.
+                let _ = fs::remove_file(&picture);
+                Err(CliError::not_kept(&path)(error))
+            }
         }
     }
 

@@ -61,6 +61,8 @@ impl ViewWriter {
                 .map_err(std::io::Error::other)
                 .and_then(|()| fs::write(&path, png));
         if let Err(source) = written {
+            // Half a picture is none.
+            let _ = fs::remove_file(&path);
             self.failed = Some(CliError::not_kept(&path)(source));
         }
     }

@@ -20,6 +20,7 @@ use scopeservo_servo::{
 };
 use scopeservo_setup::Config;
 use serde_json::json;
+use std::path::Path;
 use std::time::Instant;
 
 /// Brings an objective into the beam, into focus where that is wanted, and shows which it is where only somebody's word tells.
@@ -134,7 +135,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
         }
         let entry = json!({
             "objective": objective.id,
-            "file": file,
+            "file": file.as_deref().map(Path::to_string_lossy),
             "focus_z_um": z.map(Length::um),
             "residual_px": residual,
             "calibration": calibration_json(&calibration),
@@ -261,7 +262,7 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
     let file = desk
         .store
         .keep_target(name, &desk.config.name, stage, target, &frame)?;
-    answer.put(json!({"file": file}));
+    answer.put(json!({"file": file.to_string_lossy()}));
     say!(
         answer,
         "saved '{name}' at {}: {features} features",
