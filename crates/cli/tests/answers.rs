@@ -66,12 +66,14 @@ fn codes(warnings: &Value) -> Vec<&str> {
 
 const ONE_OBJECTIVE: &str = "stage = \"xyz\"\nobjectives = [\"10x\"]";
 
-/// A folder with a target `spot`, and the slide moved so far that it cannot be found again.
+/// A folder with a target `spot` and the objective's calibration, and the slide moved so far that it cannot be found again.
 fn out_of_reach() -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     describe(dir.path(), ONE_OBJECTIVE);
     let saved = scopeservo(dir.path(), &["target", "save", "spot", "--focus"]);
     assert_eq!(code(&saved), 0, "{}", stderr(&saved));
+    let made = scopeservo(dir.path(), &["calibrate", "--no-focus"]);
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
     let moved = format!("{ONE_OBJECTIVE}\ncentre_um = [9000, 9000]");
     describe(dir.path(), &moved);
     dir
@@ -85,13 +87,10 @@ fn not_found_is_exit_3_whoever_reads_it() {
         &["reposition", "spot", "--json"],
     ] {
         assert_eq!(unread(dir.path(), args), Some(3), "{args:?}");
-        let read = scopeservo(dir.path(), args);
-        assert_eq!(code(&read), 3, "{args:?}: {}", stderr(&read));
     }
-    assert_eq!(
-        object(&scopeservo(dir.path(), &["reposition", "spot", "--json"]))["verdict"],
-        "not_found"
-    );
+    let read = scopeservo(dir.path(), &["reposition", "spot", "--json"]);
+    assert_eq!(code(&read), 3, "{}", stderr(&read));
+    assert_eq!(object(&read)["verdict"], "not_found");
 }
 
 #[test]
@@ -353,8 +352,7 @@ fn what_is_damaged_is_told_and_the_rest_counts() {
     assert_eq!(codes(&list["warnings"]), ["damaged"]);
     // A calibration that is none is measured anew on the way.
     let kept = here.join("scopeservo-data/calibrations/10x");
-    fs::create_dir_all(&kept).unwrap();
-    fs::write(kept.join("000001_2026.json"), "{}").unwrap();
+    fs::write(kept.join("000002_2026.json"), "{}").unwrap();
     let output = scopeservo(here, &["reposition", "spot", "--json"]);
     assert_eq!(code(&output), 3, "{}", stderr(&output));
     let answer = object(&output);
