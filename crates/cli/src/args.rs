@@ -1,5 +1,6 @@
 //! The grammar of the command line. One definition gives help and completion.
 
+use crate::error::CliError;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -8,7 +9,9 @@ use std::path::PathBuf;
 #[command(
     version,
     about,
-    after_help = "Exit codes: 0 arrived or found, 3 not found or refused, 2 bad input or usage, 1 fault or interruption."
+    after_help = "Exit codes: 0 arrived, found, done or all checks hold; 3 not found, refused, or a check does not hold; 2 bad input or usage, and \
+                  nothing was done; 1 a fault, Ctrl-C, or an answer that could not be kept or told. A reader of the answer who goes \
+                  away changes nothing."
 )]
 pub(crate) struct Cli {
     #[command(subcommand)]
@@ -40,6 +43,34 @@ pub(crate) enum Command {
     /// The simulated microscope.
     #[command(subcommand)]
     Twin(TwinCommand),
+}
+
+impl Command {
+    /// Whether the answer is a JSON object.
+    pub(crate) fn wants_json(&self) -> bool {
+        match self {
+            Self::Demo(args) => args.json,
+            Self::Register(args) => args.json,
+            Self::Doctor(args) => args.json,
+            Self::Calibrate(args) => args.json,
+            Self::Focus(args) => args.json,
+            Self::Target(TargetCommand::Save(args)) => args.json,
+            Self::Target(TargetCommand::List(args)) => args.json,
+            Self::Reposition(args) => args.json,
+            Self::Driver(DriverCommand::Check(args)) => args.json,
+            Self::Init(_) | Self::Twin(_) => false,
+        }
+    }
+}
+
+/// What is wrong with the command line, and whether the answer to it is a JSON object.
+pub(crate) fn misused(error: &clap::Error) -> (CliError, bool) {
+    let words = error.render().to_string();
+    let words = words.strip_prefix("error: ").unwrap_or(&words);
+    // What follows -- is a driver's.
+    let mut ours = std::env::args_os().take_while(|a| a != "--");
+    let json = ours.any(|a| a == "--json");
+    (CliError::Usage(words.trim_end().into()), json)
 }
 
 /// Where the instrument is described.

@@ -1,5 +1,6 @@
 //! The demo's bench: a simulated microscope with a slide on it, the saving of the target, and the displacing of the slide.
 
+use crate::answer::Answer;
 use crate::args::{DemoArgs, Noise};
 use crate::desk::rein_in;
 use crate::error::CliError;
@@ -21,7 +22,7 @@ pub(crate) struct Bench {
 
 impl Bench {
     /// The specimen that was asked for under a microscope that Ctrl-C stops.
-    pub(crate) fn new(args: &DemoArgs) -> Result<Self, CliError> {
+    pub(crate) fn new(args: &DemoArgs, answer: &Answer) -> Result<Self, CliError> {
         let specimen: Arc<dyn Specimen> = match &args.specimen {
             Some(path) => Arc::new(FileSpecimen::open(path, args.um_per_px)?),
             None => Arc::new(Tissue::new(args.seed)),
@@ -34,7 +35,7 @@ impl Bench {
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
         let twin = Twin::new(config, specimen.clone(), args.seed, clock.clone())?;
         let cancel = CancelToken::new();
-        let reins = rein_in(&cancel)?;
+        let reins = rein_in(&cancel, answer);
         let scope = Instrument::new(
             MotionGate::new(twin.stage(), twin.nosepiece(), twin.rules())?,
             twin.camera(),

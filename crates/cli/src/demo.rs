@@ -1,12 +1,13 @@
 //! `scopeservo demo`: a reposition on a simulated microscope, from saving the view to the report.
 
+use crate::answer::Answer;
 use crate::args::{DemoArgs, Method, Noise};
 use crate::bench::{Bench, displace, save_target};
 use crate::error::CliError;
-use crate::output::{self, DemoJson, SCHEMA};
+use crate::output::{self, DemoJson};
 use crate::progress::Watcher;
 use crate::threads::with_threads;
-use crate::views::{ViewWriter, clear_earlier_run, write_json};
+use crate::views::{ViewWriter, clear_earlier_run, keep_json, keep_report, try_out};
 use scopeservo_report as report;
 use scopeservo_scope::{Instrument, ObjectiveId};
 use scopeservo_servo::{
@@ -14,8 +15,8 @@ use scopeservo_servo::{
     Stamped, Verdict,
 };
 use scopeservo_twin::Truth;
-use std::fs;
-use std::path::{Path, PathBuf};
+use serde_json::json;
+use std::path::PathBuf;
 use std::time::Instant;
 
 const DEFAULT_OUT: &str = "scopeservo-demo";
@@ -23,9 +24,9 @@ const DEFAULT_OUT: &str = "scopeservo-demo";
 const UM_PER_PX: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 const MAX_SHIFT_UM: f64 = 1e5;
 
-pub(crate) fn run(args: &DemoArgs) -> Result<bool, CliError> {
+pub(crate) fn run(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
     check(args)?;
-    with_threads(args.threads, || demo(args))
+    with_threads(args.threads, || demo(args, answer))
 }
 
 fn check(args: &DemoArgs) -> Result<(), CliError> {
@@ -72,17 +73,14 @@ fn run_options(args: &DemoArgs) -> RepositionOptions {
     }
 }
 
-fn demo(args: &DemoArgs) -> Result<bool, CliError> {
+fn demo(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
     let started = Instant::now();
-    let bench = Bench::new(args)?;
+    let bench = Bench::new(args, answer)?;
     let out = args
         .out
         .clone()
         .unwrap_or_else(|| PathBuf::from(DEFAULT_OUT));
-    fs::create_dir_all(&out).map_err(|source| CliError::Write {
-        path: out.clone(),
-        source,
-    })?;
+    try_out(&out)?;
     // Without views the report and the result replace those of an earlier run at the end, whole; until then they stay.
     let views = match &args.out {
         Some(out) => {
@@ -121,8 +119,7 @@ fn demo(args: &DemoArgs) -> Result<bool, CliError> {
         .map(|(target, last)| arrival_error(target, &last));
     let engine = Engine::current();
     let counters = scope.counters();
-    let json = DemoJson {
-        schema: SCHEMA,
+    let result = DemoJson {
         verdict: outcome.verdict,
         reason: outcome.reason,
         message: outcome.message.clone(),
@@ -149,20 +146,24 @@ fn demo(args: &DemoArgs) -> Result<bool, CliError> {
         engine: engine.name,
         cpu_level: engine.cpu_level,
     };
-    let report_path = write_all(
+    answer.put(json!(result));
+    show(answer, &result, started);
+    let Watcher {
+        recorder, views, ..
+    } = watcher;
+    if let Some(views) = views {
+        answer.or_warn(views.finish(&out));
+        answer.or_warn(keep_json(&out.join("events.json"), &recorder.events()));
+    }
+    let page = page(
         args,
         &bench,
-        watcher,
-        &json,
+        &recorder,
+        &result,
         target_truth.as_ref(),
-        &out,
         started,
-    )?;
-    if args.json {
-        output::print(&json)?;
-    } else {
-        print_summary(&json, &report_path, started);
-    }
+    );
+    keep_report(&out, &page, answer);
     Ok(outcome.verdict == Verdict::Arrived)
 }
 
@@ -212,22 +213,19 @@ fn specimen_name(args: &DemoArgs, bench: &Bench) -> String {
     }
 }
 
-fn write_all(
+/// The page of a run.
+fn page(
     args: &DemoArgs,
     bench: &Bench,
-    watcher: Watcher,
-    json: &DemoJson,
+    recorder: &report::Recorder,
+    result: &DemoJson,
     target: Option<&Truth>,
-    out: &Path,
     started: Instant,
-) -> Result<PathBuf, CliError> {
-    let Watcher {
-        recorder, views, ..
-    } = watcher;
-    let truth = target.map(|target| hidden_truth(bench, &recorder, target, json));
+) -> String {
+    let truth = target.map(|target| hidden_truth(bench, recorder, target, result));
     let servo = run_options(args).servo;
     let context = report::Context {
-        title: format!("Reposition on {}", json.specimen),
+        title: format!("Reposition on {}", result.specimen),
         specimen: bench.specimen.describe(),
         instrument: "simulated microscope (hexapod, 10x / 20x / 40x, 640x480 camera)".into(),
         command: output::command_line(),
@@ -241,18 +239,7 @@ fn write_all(
             angle_deg: servo.angle_deg,
         }),
     };
-    let page = report::html(&recorder, truth.as_ref(), &context);
-    let report_path = out.join("report.html");
-    if let Some(views) = views {
-        views.finish(out)?;
-        write_json(&out.join("events.json"), &recorder.events())?;
-    }
-    write_json(&out.join("result.json"), json)?;
-    report::write(&report_path, &page).map_err(|source| CliError::Write {
-        path: report_path.clone(),
-        source,
-    })?;
-    Ok(report_path)
+    report::html(recorder, truth.as_ref(), &context)
 }
 
 /// What the report shows beside the claims.
@@ -260,7 +247,7 @@ fn hidden_truth(
     bench: &Bench,
     recorder: &report::Recorder,
     target: &Truth,
-    json: &DemoJson,
+    result: &DemoJson,
 ) -> report::Truth {
     let iterations = recorder
         .events()
@@ -297,41 +284,46 @@ fn hidden_truth(
         })
         .collect();
     report::Truth {
-        error_um: json.true_error_um.unwrap_or(0.0),
-        error_deg: json.true_error_deg.unwrap_or(0.0),
+        error_um: result.true_error_um.unwrap_or(0.0),
+        error_deg: result.true_error_deg.unwrap_or(0.0),
         iterations,
         calibrations,
     }
 }
 
-fn print_summary(json: &DemoJson, report: &Path, started: Instant) {
-    let verdict = output::word(json.verdict);
-    say!("{verdict}: {}", json.message);
+fn show(answer: &Answer, result: &DemoJson, started: Instant) {
+    let verdict = output::word(result.verdict);
+    say!(answer, "{verdict}: {}", result.message);
     say!(
+        answer,
         "  slide put back {:.0} um away and turned {:.2} deg, on {}",
-        f64::hypot(json.start_um[0], json.start_um[1]),
-        json.start_deg,
-        json.specimen
+        f64::hypot(result.start_um[0], result.start_um[1]),
+        result.start_deg,
+        result.specimen
     );
-    for m in &json.magnifications {
+    for m in &result.magnifications {
         match (m.iterations, m.inliers, m.error_um, m.error_deg) {
             (Some(n), Some(inliers), Some(um), Some(deg)) => say!(
+                answer,
                 "  {:>4}x  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {deg:8.4} deg  {:.4} um/px",
                 m.magnification,
                 m.calibration.um_per_px
             ),
-            _ => say!("  {:>4}x  the target was not seen", m.magnification),
+            _ => say!(answer, "  {:>4}x  the target was not seen", m.magnification),
         }
     }
-    if let (Some(um), Some(deg)) = (json.true_error_um, json.true_error_deg) {
-        say!("  true error {um:.3} um, {deg:.4} deg (only the simulation knows)");
+    if let (Some(um), Some(deg)) = (result.true_error_um, result.true_error_deg) {
+        say!(
+            answer,
+            "  true error {um:.3} um, {deg:.4} deg (only the simulation knows)"
+        );
     }
     say!(
+        answer,
         "  {} moves, {} frames, {:.1} s of instrument time, {:.1} s here",
-        json.moves,
-        json.frames,
-        json.virtual_time_s,
+        result.moves,
+        result.frames,
+        result.virtual_time_s,
         started.elapsed().as_secs_f64()
     );
-    say!("  report: {}", report.display());
 }

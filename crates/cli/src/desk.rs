@@ -1,5 +1,6 @@
 //! The instrument that the user described, opened so that Ctrl-C stops it.
 
+use crate::answer::Answer;
 use crate::args::InstrumentArgs;
 use crate::error::CliError;
 use crate::store::Store;
@@ -38,47 +39,47 @@ impl Reins {
 const IMPATIENT: u32 = 3;
 
 /// From now on Ctrl-C cancels, and stops what moves.
-pub(crate) fn rein_in(cancel: &CancelToken) -> Result<Reins, CliError> {
+pub(crate) fn rein_in(cancel: &CancelToken, answer: &Answer) -> Reins {
     let reins = Reins::default();
-    let (wish, held) = (cancel.clone(), reins.clone());
+    let (wish, held, leaving) = (cancel.clone(), reins.clone(), answer.clone());
     let mut asked = 0;
-    ctrlc::set_handler(move || {
+    answer.on_interrupt(move || {
         asked += 1;
         let scope = held.held();
         if wish.is_cancelled() {
             match &scope {
                 // Asked twice: the instrument was told to stop, and nobody waits any longer.
-                Some(_) => std::process::exit(1),
-                None if asked >= IMPATIENT => std::process::exit(1),
+                Some(_) => leaving.leave(CliError::Left),
+                None if asked >= IMPATIENT => leaving.leave(CliError::Left),
                 // It may be homing, and only who homes can stop that.
                 None => {
-                    return eprintln!(
+                    tell!(
                         "scopeservo: stopping; wait for the instrument, or press Ctrl-C once more to leave it as it is"
                     );
+                    return;
                 }
             }
         }
         wish.cancel();
         if scope.is_none() {
-            eprintln!("scopeservo: stopping as soon as the instrument is open");
+            tell!("scopeservo: stopping as soon as the instrument is open");
         }
         // From here too, should the working thread hang in a device.
         if let Some(scope) = scope
             && let Err(error) = scope.gate().stop()
         {
-            eprintln!("scopeservo: the instrument did not take the stop: {error}");
+            tell!("scopeservo: the instrument did not take the stop: {error}");
         }
-    })
-    .map_err(|e| CliError::Internal(format!("Ctrl-C could not be provided for: {e}")))?;
-    Ok(reins)
+    });
+    reins
 }
 
 impl Desk {
-    pub(crate) fn open(args: &InstrumentArgs) -> Result<Self, CliError> {
+    pub(crate) fn open(args: &InstrumentArgs, answer: &Answer) -> Result<Self, CliError> {
         let config = Config::read(&args.description.config)?;
         let store = Store::new(config.resolve(&config.data_folder));
         let cancel = CancelToken::new();
-        let reins = rein_in(&cancel)?;
+        let reins = rein_in(&cancel, answer);
         let consent = Consent {
             home: args.home,
             ask: Arc::new(ask),
@@ -142,7 +143,7 @@ const LOOK: Duration = Duration::from_millis(50);
 fn ask(objective: &Objective, wanted: &dyn Fn() -> bool) -> bool {
     let id = &objective.id;
     if !std::io::stdin().is_terminal() {
-        eprintln!(
+        tell!(
             "scopeservo: the objective {id} is needed, and nobody is there to turn the nosepiece: run this in a terminal"
         );
         return false;
@@ -150,7 +151,7 @@ fn ask(objective: &Objective, wanted: &dyn Fn() -> bool) -> bool {
     let lines = typed().lock().unwrap_or_else(PoisonError::into_inner);
     // What was typed before the question is no answer to it.
     while lines.try_recv().is_ok() {}
-    eprintln!("Turn the nosepiece to {id}, then press Enter. Type n to end.");
+    tell!("Turn the nosepiece to {id}, then press Enter. Type n to end.");
     while wanted() {
         match lines.recv_timeout(LOOK) {
             Ok(line) => {
@@ -158,7 +159,7 @@ fn ask(objective: &Objective, wanted: &dyn Fn() -> bool) -> bool {
                 match word.as_str() {
                     "" | "y" | "yes" => return true,
                     "n" | "no" | "q" => return false,
-                    _ => eprintln!("Press Enter when {id} is in, or type n to end."),
+                    _ => tell!("Press Enter when {id} is in, or type n to end."),
                 }
             }
             Err(RecvTimeoutError::Timeout) => {}

@@ -1,14 +1,15 @@
 //! `scopeservo doctor`: what is there, and whether it would work. Nothing moves unless the user allows it.
 
+use crate::answer::Answer;
 use crate::args::DoctorArgs;
 use crate::desk::Desk;
-use crate::error::CliError;
-use crate::output::{self, SCHEMA};
+use crate::error::{CliError, Code};
 use scopeservo_scope::conformance::{self, Check};
 use scopeservo_scope::{ChangeRule, Frame, Instrument, Motion, Samples, ScopeError};
 use scopeservo_servo::sharpness;
 use scopeservo_sift::{GrayImage, Options, Sift};
 use serde::Serialize;
+use serde_json::json;
 use std::time::Instant;
 
 /// With fewer features a view cannot be calibrated on.
@@ -35,29 +36,31 @@ impl From<Check> for Finding {
     }
 }
 
-/// Prints findings, or collects them for JSON.
-pub(crate) struct Findings {
-    json: bool,
-    all: Vec<Finding>,
+/// Tells findings as they come.
+pub(crate) struct Findings<'a> {
+    answer: &'a Answer,
+    all: usize,
+    wrong: usize,
 }
 
-impl Findings {
-    pub(crate) fn new(json: bool) -> Self {
+impl<'a> Findings<'a> {
+    pub(crate) fn new(answer: &'a Answer) -> Self {
         Self {
-            json,
-            all: Vec::new(),
+            answer,
+            all: 0,
+            wrong: 0,
         }
     }
 
     pub(crate) fn add(&mut self, finding: Finding) {
-        if !self.json {
-            let mark = if finding.ok { "ok " } else { "NO " };
-            match finding.said.is_empty() {
-                true => say!("{mark} {}", finding.name),
-                false => say!("{mark} {}: {}", finding.name, finding.said),
-            }
+        let mark = if finding.ok { "ok " } else { "NO " };
+        match finding.said.is_empty() {
+            true => say!(self.answer, "{mark} {}", finding.name),
+            false => say!(self.answer, "{mark} {}: {}", finding.name, finding.said),
         }
-        self.all.push(finding);
+        self.all += 1;
+        self.wrong += usize::from(!finding.ok);
+        self.answer.push("findings", json!(finding));
     }
 
     fn look(&mut self, name: &str, found: Result<String, String>) {
@@ -70,16 +73,14 @@ impl Findings {
         });
     }
 
-    /// The end: a sentence or the JSON, and whether all is well.
+    /// The end: whether all is well.
     pub(crate) fn conclude(self, what: &str) -> Result<bool, CliError> {
-        let wrong = self.all.iter().filter(|f| !f.ok).count();
-        match self.json {
-            true => output::print(
-                &serde_json::json!({"schema": SCHEMA, "ok": wrong == 0, "findings": self.all}),
-            )?,
-            false if wrong == 0 => say!("{what}: all {} checks hold", self.all.len()),
-            false => say!("{what}: {wrong} of {} checks do not hold", self.all.len()),
+        let (all, wrong) = (self.all, self.wrong);
+        match wrong {
+            0 => say!(self.answer, "{what}: all {all} checks hold"),
+            _ => say!(self.answer, "{what}: {wrong} of {all} checks do not hold"),
         }
+        self.answer.put(json!({"ok": wrong == 0}));
         Ok(wrong == 0)
     }
 }
@@ -88,16 +89,18 @@ fn told(error: ScopeError) -> String {
     error.to_string()
 }
 
-pub(crate) fn run(args: &DoctorArgs) -> Result<bool, CliError> {
-    let mut findings = Findings::new(args.json);
-    let desk = match Desk::open(&args.instrument) {
+pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> {
+    let mut findings = Findings::new(answer);
+    let desk = match Desk::open(&args.instrument, answer) {
         Ok(desk) => desk,
-        // A file that cannot be understood is bad input, not a finding.
-        Err(error) if error.exit_code() == 2 && !is_driver(&error) => return Err(error),
-        Err(error) => {
-            findings.look("the instrument can be opened", Err(error.to_string()));
-            return findings.conclude("doctor");
-        }
+        Err(error) => match error.code() {
+            Code::NoDriver | Code::Refused | Code::Fault => {
+                findings.look("the instrument can be opened", Err(error.to_string()));
+                return findings.conclude("doctor");
+            }
+            // A file that cannot be understood is bad input, not a finding, and neither is a stop.
+            _ => return Err(error),
+        },
     };
     for (driver, name) in &desk.drivers {
         findings.look(&format!("driver {driver}"), Ok(name.clone()));
@@ -110,26 +113,23 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<bool, CliError> {
         for check in conformance::check_instrument(&desk.scope) {
             findings.add(check.into());
         }
-        if desk.scope.gate().objective_is_unproven() && !args.json {
+        if desk.scope.gate().objective_is_unproven() {
             say!(
+                answer,
                 "    which objective is in was taken from you: `focus` and `calibrate` look at the picture"
             );
         }
-    } else if !args.json {
+    } else {
         say!(
+            answer,
             "    motion was not tried: `scopeservo doctor --allow-motion`, over a specimen that does not matter, in focus"
         );
     }
+    desk.scope.check_cancel()?;
     findings.conclude(&desk.config.name)
 }
 
-/// Whether there is no driver: of what exits with bad input, the one thing that is a finding.
-fn is_driver(error: &CliError) -> bool {
-    use scopeservo_setup::SetupError;
-    matches!(error, CliError::Setup(e) if matches!(e.root(), SetupError::Driver(_)))
-}
-
-fn stage(scope: &Instrument, findings: &mut Findings) {
+fn stage(scope: &Instrument, findings: &mut Findings<'_>) {
     let gate = scope.gate();
     let axes: Vec<String> = gate
         .ranges()
@@ -169,7 +169,7 @@ fn stage(scope: &Instrument, findings: &mut Findings) {
     findings.look("it stands still", still);
 }
 
-fn nosepiece(scope: &Instrument, findings: &mut Findings) {
+fn nosepiece(scope: &Instrument, findings: &mut Findings<'_>) {
     let gate = scope.gate();
     let all: Vec<String> = gate
         .objectives()
@@ -222,7 +222,7 @@ fn levels(frame: &Frame) -> [f64; 3] {
     [saturated as f64 / count, lit as f64 / count, sum / count]
 }
 
-fn camera(scope: &Instrument, findings: &mut Findings) {
+fn camera(scope: &Instrument, findings: &mut Findings<'_>) {
     let info = scope.camera().info();
     let bits = info.bit_depth;
     let shape = format!(
@@ -282,22 +282,26 @@ fn camera(scope: &Instrument, findings: &mut Findings) {
     findings.look("there is something to see", seen);
 }
 
-fn kept(desk: &Desk, findings: &mut Findings) {
-    match desk.store.calibrations() {
-        Err(error) => findings.look("calibrations", Err(error.to_string())),
-        Ok(all) => {
-            for objective in desk.scope.gate().objectives() {
-                let found = match all.get(&objective.id) {
-                    Some(kept) => format!(
-                        "{:.4} um per pixel, made {}",
-                        kept.calibration.um_per_px(),
-                        kept.made
-                    ),
-                    None => "none yet: made on the way, or by `scopeservo calibrate`".into(),
-                };
-                findings.look(&format!("calibration of {}", objective.id), Ok(found));
-            }
-        }
+fn kept(desk: &Desk, findings: &mut Findings<'_>) {
+    let objectives = desk.scope.gate().objectives();
+    let room = desk.store.try_calibrations(objectives);
+    let room = room.and_then(|()| desk.store.try_targets());
+    findings.look(
+        "calibrations and targets can be kept",
+        room.map(|()| desk.store.folder().display().to_string())
+            .map_err(|e| e.to_string()),
+    );
+    for objective in objectives {
+        let found = match desk.store.calibration(objective) {
+            Ok(Some(kept)) => Ok(format!(
+                "{:.4} um per pixel, made {}",
+                kept.calibration.um_per_px(),
+                kept.made
+            )),
+            Ok(None) => Ok("none yet: made on the way, or by `scopeservo calibrate`".into()),
+            Err(error) => Err(error.to_string()),
+        };
+        findings.look(&format!("calibration of {}", objective.id), found);
     }
     let targets = desk.store.target_names().map_err(|e| e.to_string());
     findings.look(

@@ -1,5 +1,6 @@
 //! `scopeservo driver check`: the conformance suite against any driver.
 
+use crate::answer::Answer;
 use crate::args::DriverCheckArgs;
 use crate::desk::rein_in;
 use crate::doctor::{Finding, Findings};
@@ -17,14 +18,14 @@ use std::time::{Duration, Instant};
 /// How quickly a stop must be answered.
 const STOP_WITHIN: Duration = Duration::from_millis(200);
 
-pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
+pub(crate) fn run(args: &DriverCheckArgs, answer: &Answer) -> Result<bool, CliError> {
     let secret = args.secret_file.as_deref().map(read_secret).transpose()?;
     let cancel = CancelToken::new();
-    let reins = rein_in(&cancel)?;
+    let reins = rein_in(&cancel, answer);
     let driver = open(args, secret.as_ref())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let devices = driver.devices(&clock).map_err(SetupError::from)?;
-    let mut findings = Findings::new(args.json);
+    let mut findings = Findings::new(answer);
     findings.add(Finding {
         name: "it says hello".into(),
         ok: true,
@@ -58,8 +59,11 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
     if let Some(light) = &light {
         findings.add(light_is_set(light));
     }
-    if nosepiece && stage && args.retract_z_um.is_none() && !args.json {
-        say!("    objectives were not changed: name a safe height with --retract-z-um");
+    if nosepiece && stage && args.retract_z_um.is_none() {
+        say!(
+            answer,
+            "    objectives were not changed: name a safe height with --retract-z-um"
+        );
     }
     scope.check_cancel()?;
     if stage {

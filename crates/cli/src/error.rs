@@ -1,10 +1,13 @@
-//! What ends the program early, and with which exit code.
+//! What ends the program early: in a sentence for people, and in a code word and an exit code for programs.
 
+use clap::ValueEnum;
 use scopeservo_scope::{ErrorKind, ScopeError};
 use scopeservo_servo::ServoError;
 use scopeservo_setup::SetupError;
 use scopeservo_slide::SlideError;
-use std::path::PathBuf;
+use serde::Serialize;
+use std::io;
+use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 #[derive(Debug, Error)]
@@ -24,21 +27,35 @@ pub(crate) enum CliError {
         height: usize,
         least: usize,
     },
-    #[error("cannot write to {path}: {source}. Give a folder that can be written with --out")]
-    Write {
+    /// Tried before anything moves.
+    #[error("cannot write to {path}: {source}. Make that possible, or {instead}")]
+    CannotWrite {
         path: PathBuf,
-        source: std::io::Error,
+        source: io::Error,
+        /// What else to do.
+        instead: &'static str,
     },
+    /// Found when something was there to be kept.
+    #[error("{path} could not be kept: {what}. Make room before the next run")]
+    NotKept { path: PathBuf, what: String },
     #[error(transparent)]
     Setup(#[from] SetupError),
     #[error("{path} cannot be read: {what}")]
     Read { path: PathBuf, what: String },
+    #[error("{path} is damaged: {what}")]
+    Damaged { path: PathBuf, what: String },
     #[error(transparent)]
     Servo(#[from] ServoError),
     #[error(transparent)]
     Twin(#[from] scopeservo_twin::TwinError),
     #[error("the features could not be computed: {0}")]
     Features(#[from] scopeservo_sift::SiftError),
+    /// Where there is no instrument yet that would have to be stopped.
+    #[error("stopped on request")]
+    Interrupted,
+    /// Asked twice.
+    #[error("left on request, without waiting for the instrument: see whether it stands still")]
+    Left,
     #[error("{0}")]
     Internal(String),
 }
@@ -49,43 +66,135 @@ impl From<ScopeError> for CliError {
     }
 }
 
-impl CliError {
-    /// 2 where the user can mend it by other input, 3 where the instrument refused, else 1.
-    pub(crate) fn exit_code(&self) -> u8 {
+/// The code words of errors and warnings, for programs. Stable: added to, never renamed. `docs/answers.md` explains each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Code {
+    Usage,
+    BadImage,
+    BadDescription,
+    NoDriver,
+    CannotWrite,
+    CannotRead,
+    Damaged,
+    Refused,
+    NoFocus,
+    CalibrationFailed,
+    WrongObjective,
+    NotKept,
+    Interrupted,
+    Fault,
+    Internal,
+}
+
+impl Code {
+    /// The exit code of a command that it ends: 2 where the user can mend it by other input, 3 where the instrument refused or did
+    /// not find, else 1.
+    pub(crate) fn exit(self) -> u8 {
         match self {
-            Self::Usage(_)
-            | Self::Slide(_)
-            | Self::Specimen(_)
-            | Self::TooSmall { .. }
-            | Self::Write { .. }
-            | Self::Read { .. } => 2,
-            Self::Setup(error) => match error.root() {
-                // What the file sets cannot be.
-                SetupError::Scope(ScopeError::BadSetting { .. }) => 2,
-                SetupError::Scope(error) => scope_code(error),
-                _ => 2,
-            },
-            Self::Servo(ServoError::Scope(error)) => scope_code(error),
-            // What was looked for was not found, or what was seen was refused.
-            Self::Servo(
-                ServoError::NoFocus { .. }
-                | ServoError::CalibrationViews { .. }
-                | ServoError::CalibrationImplausible { .. }
-                | ServoError::CalibrationInconsistent { .. }
-                | ServoError::ObjectiveUnclear { .. }
-                | ServoError::PictureStays { .. }
-                | ServoError::StageTooCoarse { .. }
-                | ServoError::WrongObjective { .. },
-            ) => 3,
-            Self::Servo(_) | Self::Twin(_) | Self::Features(_) | Self::Internal(_) => 1,
+            Self::Usage
+            | Self::BadImage
+            | Self::BadDescription
+            | Self::NoDriver
+            | Self::CannotWrite
+            | Self::CannotRead
+            | Self::Damaged => 2,
+            Self::Refused | Self::NoFocus | Self::CalibrationFailed | Self::WrongObjective => 3,
+            Self::NotKept | Self::Interrupted | Self::Fault | Self::Internal => 1,
         }
     }
 }
 
+impl CliError {
+    /// What `path` could not be kept for.
+    pub(crate) fn not_kept(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.into();
+        |source| Self::NotKept {
+            path,
+            what: source.to_string(),
+        }
+    }
+
+    pub(crate) fn code(&self) -> Code {
+        match self {
+            Self::Usage(_) => Code::Usage,
+            Self::Slide(_) | Self::Specimen(_) | Self::TooSmall { .. } => Code::BadImage,
+            Self::CannotWrite { .. } => Code::CannotWrite,
+            Self::NotKept { .. } => Code::NotKept,
+            Self::Read { .. } => Code::CannotRead,
+            Self::Damaged { .. } => Code::Damaged,
+            Self::Setup(error) => setup_code(error),
+            Self::Servo(error) => servo_code(error),
+            Self::Interrupted | Self::Left => Code::Interrupted,
+            Self::Twin(_) | Self::Features(_) | Self::Internal(_) => Code::Internal,
+        }
+    }
+}
+
+fn setup_code(error: &SetupError) -> Code {
+    match error.root() {
+        SetupError::Driver(_) => Code::NoDriver,
+        SetupError::Specimen(_) => Code::BadImage,
+        // What the file sets cannot be.
+        SetupError::Scope(ScopeError::BadSetting { .. }) => Code::BadDescription,
+        SetupError::Scope(error) => scope_code(error),
+        _ => Code::BadDescription,
+    }
+}
+
+/// What was looked for and not found, and what was seen and refused, is an answer.
+fn servo_code(error: &ServoError) -> Code {
+    match error {
+        ServoError::Scope(error) => scope_code(error),
+        ServoError::NoFocus { .. } => Code::NoFocus,
+        ServoError::CalibrationViews { .. }
+        | ServoError::CalibrationImplausible { .. }
+        | ServoError::CalibrationInconsistent { .. } => Code::CalibrationFailed,
+        ServoError::ObjectiveUnclear { .. }
+        | ServoError::PictureStays { .. }
+        | ServoError::StageTooCoarse { .. }
+        | ServoError::WrongObjective { .. } => Code::WrongObjective,
+        _ => Code::Internal,
+    }
+}
+
 /// What the instrument refuses is an answer; a fault or a stop is none.
-fn scope_code(error: &ScopeError) -> u8 {
+fn scope_code(error: &ScopeError) -> Code {
     match error.kind() {
-        ErrorKind::Refused => 3,
-        _ => 1,
+        ErrorKind::Refused => Code::Refused,
+        ErrorKind::Interrupted => Code::Interrupted,
+        _ => Code::Fault,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The rows of the page's table: word and exit code.
+    fn page() -> Vec<(String, u8)> {
+        let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/answers.md");
+        let text = std::fs::read_to_string(page).unwrap();
+        let rows = text.lines().filter_map(|line| {
+            let mut cells = line.strip_prefix("| `")?.split('|');
+            let word = cells.next()?.trim().trim_end_matches('`').to_owned();
+            Some((word, cells.next()?.trim().parse().ok()?))
+        });
+        rows.collect()
+    }
+
+    #[test]
+    fn every_code_word_is_explained_with_its_exit_code_and_no_other() {
+        let mut known: Vec<(String, u8)> = Code::value_variants()
+            .iter()
+            .map(|code| {
+                let word = serde_json::to_value(code).unwrap();
+                (word.as_str().unwrap().to_owned(), code.exit())
+            })
+            .collect();
+        let mut page = page();
+        known.sort();
+        page.sort();
+        assert_eq!(known, page);
     }
 }

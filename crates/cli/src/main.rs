@@ -1,25 +1,10 @@
 //! The program `scopeservo`.
 //!
-//! Exit codes: 0 arrived or found, 3 not found or refused, 2 bad input or usage, 1 fault or interruption. With `--json`
-//! the answer is one JSON object on stdout and everything else goes to stderr.
+//! Exit codes: 0 arrived or found, 3 not found or refused, 2 bad input or usage, 1 fault or interruption. With `--json` the answer is
+//! one JSON object on stdout, however the command ends, and everything else goes to stderr.
 
-#![expect(
-    clippy::print_stderr,
-    reason = "a program says on stderr what went wrong"
-)]
-
-/// `println!` for a reader that may have gone: a closed pipe ends the program quietly, as `| head` expects.
-macro_rules! say {
-    ($($arg:tt)*) => {{
-        use std::io::Write as _;
-        if let Err(error) = writeln!(std::io::stdout(), $($arg)*)
-            && error.kind() == std::io::ErrorKind::BrokenPipe
-        {
-            std::process::exit(0);
-        }
-    }};
-}
-
+#[macro_use]
+mod answer;
 mod args;
 mod bench;
 mod demo;
@@ -27,7 +12,9 @@ mod desk;
 mod doctor;
 mod driver_check;
 mod error;
+mod files;
 mod init;
+mod kept;
 mod output;
 mod progress;
 mod register;
@@ -38,37 +25,50 @@ mod twin_serve;
 mod views;
 mod work;
 
+use answer::Answer;
 use args::{Cli, Command, DriverCommand, TargetCommand, TwinCommand};
 use clap::Parser;
 use error::CliError;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 
-/// Something was answered, and it is what was hoped for.
-const YES: u8 = 0;
-/// Not found, or refused.
-const NO: u8 = 3;
-
 fn main() -> ExitCode {
-    let cli = Cli::parse();
-    let answer = match cli.command {
-        Command::Demo(args) => demo::run(&args),
-        Command::Register(args) => register::run(&args),
-        Command::Init(args) => init::run(&args),
-        Command::Doctor(args) => doctor::run(&args),
-        Command::Calibrate(args) => work::calibrate(&args),
-        Command::Focus(args) => work::focus(&args),
-        Command::Target(TargetCommand::Save(args)) => work::save_target(&args),
-        Command::Target(TargetCommand::List(args)) => work::list_targets(&args),
-        Command::Reposition(args) => work::reposition(&args),
-        Command::Driver(DriverCommand::Check(args)) => driver_check::run(&args),
-        Command::Twin(TwinCommand::Serve(args)) => twin_serve::run(&args),
-    };
-    match answer {
-        Ok(true) => ExitCode::from(YES),
-        Ok(false) => ExitCode::from(NO),
-        Err(error) => {
-            eprintln!("scopeservo: {error}");
-            ExitCode::from(error.exit_code())
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) if error.use_stderr() => {
+            let (error, json) = args::misused(&error);
+            return Answer::new(json).end(Err(error)).into();
         }
+        // Help or the version, which were asked for. Who does not read them does not need them.
+        Err(error) => {
+            let _ = error.print();
+            return ExitCode::SUCCESS;
+        }
+    };
+    let answer = Answer::new(cli.command.wants_json());
+    // A mistake of the program's own is an ending too.
+    let ended = catch_unwind(AssertUnwindSafe(|| run(cli.command, &answer)));
+    let mistake =
+        || CliError::Internal("the program made a mistake, named above; please report it".into());
+    answer.end(ended.unwrap_or_else(|_| Err(mistake()))).into()
+}
+
+/// Whether it answered, and what was hoped for.
+fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
+    let signalled = answer.clone();
+    ctrlc::set_handler(move || signalled.interrupt())
+        .map_err(|e| CliError::Internal(format!("Ctrl-C could not be provided for: {e}")))?;
+    match command {
+        Command::Demo(args) => demo::run(&args, answer),
+        Command::Register(args) => register::run(&args, answer),
+        Command::Init(args) => init::run(&args, answer),
+        Command::Doctor(args) => doctor::run(&args, answer),
+        Command::Calibrate(args) => work::calibrate(&args, answer),
+        Command::Focus(args) => work::focus(&args, answer),
+        Command::Target(TargetCommand::Save(args)) => work::save_target(&args, answer),
+        Command::Target(TargetCommand::List(args)) => work::list_targets(&args, answer),
+        Command::Reposition(args) => work::reposition(&args, answer),
+        Command::Driver(DriverCommand::Check(args)) => driver_check::run(&args, answer),
+        Command::Twin(TwinCommand::Serve(args)) => twin_serve::run(&args),
     }
 }

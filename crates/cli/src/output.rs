@@ -1,11 +1,8 @@
-//! The JSON that `--json` prints. Keys are stable: they are added to, never renamed.
+//! The keys of the JSON that `--json` prints, where they are many. Keys are stable: they are added to, never renamed.
 
 use scopeservo_geometry::Affine2;
 use scopeservo_servo::{Calibration, Outcome, Reason, Verdict};
 use serde::Serialize;
-
-/// Version of the keys below.
-pub(crate) const SCHEMA: u32 = 1;
 
 /// A verdict as people read it.
 pub(crate) fn word(verdict: Verdict) -> &'static str {
@@ -20,14 +17,17 @@ pub(crate) fn word(verdict: Verdict) -> &'static str {
 /// The command that this run is.
 pub(crate) fn command_line() -> String {
     std::iter::once("scopeservo".to_string())
-        .chain(std::env::args().skip(1))
+        .chain(
+            std::env::args_os()
+                .skip(1)
+                .map(|a| a.to_string_lossy().into_owned()),
+        )
         .collect::<Vec<_>>()
         .join(" ")
 }
 
 #[derive(Debug, Serialize)]
 pub(crate) struct DemoJson {
-    pub(crate) schema: u32,
     pub(crate) verdict: Verdict,
     pub(crate) reason: Reason,
     pub(crate) message: String,
@@ -106,7 +106,6 @@ pub(crate) fn calibration(c: &Calibration) -> CalibrationJson {
 
 #[derive(Debug, Serialize)]
 pub(crate) struct RegisterJson {
-    pub(crate) schema: u32,
     pub(crate) verdict: &'static str,
     pub(crate) reason: String,
     pub(crate) message: String,
@@ -126,12 +125,4 @@ pub(crate) struct RegisterJson {
     pub(crate) ms: Option<f64>,
     pub(crate) engine: String,
     pub(crate) cpu_level: String,
-}
-
-/// Prints a value as one line of JSON on stdout.
-pub(crate) fn print(value: &impl Serialize) -> Result<(), crate::CliError> {
-    let text = serde_json::to_string(value)
-        .map_err(|e| crate::CliError::Internal(format!("the answer could not be written: {e}")))?;
-    say!("{text}");
-    Ok(())
 }

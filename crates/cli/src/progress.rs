@@ -78,7 +78,7 @@ impl Watcher {
             } => {
                 // Who turned the nosepiece is told, bar or not, and before being asked again.
                 self.bar
-                    .suspend(|| eprintln!("{}", identified(objective, identity)));
+                    .suspend(|| tell!("{}", identified(objective, identity)));
             }
             Event::Calibrated { .. } => self.done += CALIBRATE,
             Event::Iteration {

@@ -1,14 +1,16 @@
 //! `scopeservo register`: one image found in another.
 
+use crate::answer::Answer;
 use crate::args::RegisterArgs;
 use crate::error::CliError;
-use crate::output::{self, RegisterJson, SCHEMA};
+use crate::output::RegisterJson;
 use crate::threads::with_threads;
 use scopeservo_geometry::{Affine2, Mat2};
 use scopeservo_registration::{NotFound, Options, Prior};
 use scopeservo_servo::Engine;
 use scopeservo_sift::{Features, GrayImage, Sift};
 use scopeservo_slide::Slide;
+use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
 
@@ -19,7 +21,7 @@ const LEAST_SIDE: usize = 16;
 /// Repetitions beyond this tell nothing more.
 const MAX_REPETITIONS: usize = 10_000;
 
-pub(crate) fn run(args: &RegisterArgs) -> Result<bool, CliError> {
+pub(crate) fn run(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError> {
     if args.features == 0 {
         return Err(CliError::Usage(
             "--features must be at least 1; 2000 suits most images".into(),
@@ -33,10 +35,10 @@ pub(crate) fn run(args: &RegisterArgs) -> Result<bool, CliError> {
             "--time must be from 1 to {MAX_REPETITIONS} repetitions; 50 suits most images"
         )));
     }
-    with_threads(args.threads, || look(args))
+    with_threads(args.threads, || look(args, answer))
 }
 
-fn look(args: &RegisterArgs) -> Result<bool, CliError> {
+fn look(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError> {
     let (view, view_factor) = load(&args.view, args)?;
     let (target, target_factor) = load(&args.target, args)?;
     let mut sift = Sift::new(scopeservo_sift::Options {
@@ -48,11 +50,11 @@ fn look(args: &RegisterArgs) -> Result<bool, CliError> {
     let mut register = || {
         sift.detect_and_describe_into(&view, &mut features);
         let (prior, options) = (Prior::default(), Options::default());
-        let answer = scopeservo_registration::register(&features, &target, &prior, &options);
-        (features.len(), answer)
+        let seen = scopeservo_registration::register(&features, &target, &prior, &options);
+        (features.len(), seen)
     };
     // Once for the answer, which also warms the caches; the repetitions give the same.
-    let (view_features, answer) = register();
+    let (view_features, seen) = register();
     let ms = args.time.map(|repetitions| {
         median((0..repetitions).map(|_| {
             let start = Instant::now();
@@ -63,25 +65,24 @@ fn look(args: &RegisterArgs) -> Result<bool, CliError> {
 
     let engine = Engine::current();
     let mut json = RegisterJson {
-        schema: SCHEMA,
         verdict: "not_found",
         reason: String::new(),
         message: String::new(),
         target_from_view: None,
-        inliers: answer.inliers,
+        inliers: seen.inliers,
         sigma_px: None,
         scale: None,
         rotation_deg: None,
-        matches: answer.matches,
+        matches: seen.matches,
         keypoints: [view_features, target.len()],
-        log10_false_alarms: answer.log10_nfa,
+        log10_false_alarms: seen.log10_nfa,
         reduced: [view_factor, target_factor],
         level: args.level,
         ms,
         engine: engine.name,
         cpu_level: engine.cpu_level,
     };
-    match &answer.outcome {
+    match &seen.outcome {
         Ok(estimate) => {
             let transform = reduced_from_full(target_factor)
                 .inverse()
@@ -99,7 +100,7 @@ fn look(args: &RegisterArgs) -> Result<bool, CliError> {
             json.reason = "agreement".into();
             json.message = format!(
                 "{} places agree: scale {scale:.5}, rotation {angle:.3} deg, the view's centre known to {sigma:.3} px",
-                answer.inliers
+                seen.inliers
             );
             json.target_from_view = Some(transform);
             json.sigma_px = Some(sigma);
@@ -113,18 +114,18 @@ fn look(args: &RegisterArgs) -> Result<bool, CliError> {
         }
     }
     let found = json.verdict == "found";
-    if args.json {
-        output::print(&json)?;
-    } else {
-        print_summary(&json);
-    }
+    answer.put(json!(json));
+    show(answer, &json);
     Ok(found)
 }
 
-fn print_summary(json: &RegisterJson) {
+fn show(answer: &Answer, json: &RegisterJson) {
     for (name, factor) in [("view", json.reduced[0]), ("target", json.reduced[1])] {
         if factor > 1 {
-            say!("{name} reduced {factor} times to look; coordinates are full-resolution");
+            say!(
+                answer,
+                "{name} reduced {factor} times to look; coordinates are full-resolution"
+            );
         }
     }
     let verdict = if json.verdict == "found" {
@@ -132,15 +133,22 @@ fn print_summary(json: &RegisterJson) {
     } else {
         "not found"
     };
-    say!("{verdict}: {}", json.message);
+    say!(answer, "{verdict}: {}", json.message);
     if let Some(t) = json.target_from_view {
         for row in <[[f64; 3]; 2]>::from(t) {
-            say!("  [{:12.7} {:12.7} {:12.3}]", row[0], row[1], row[2]);
+            say!(
+                answer,
+                "  [{:12.7} {:12.7} {:12.3}]",
+                row[0],
+                row[1],
+                row[2]
+            );
         }
     }
     if let Some(ms) = json.ms {
         let ([view, target], threads) = (json.keypoints, rayon::current_num_threads());
         say!(
+            answer,
             "{ms:.2} ms for {view} features of the view, match with {target} of the target, and fit ({}, threads: {threads})",
             json.cpu_level
         );

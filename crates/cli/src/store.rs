@@ -1,49 +1,22 @@
 //! Calibrations and targets on disk. Nothing is overwritten: a new calibration lies beside the old ones, and a target's name is given
-//! once.
+//! once. What is damaged is told, and does not keep the rest away.
 
 use crate::error::CliError;
+use crate::files::{self, make_folder, write_new};
+use crate::kept::{
+    KeptCalibration, KeptTarget, SCHEMA, check_name, file_name, judge, number_of, utc,
+};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder as _};
-use scopeservo_scope::{Channels, Frame, Length, ObjectiveId, Samples, StagePose, Timestamp};
+use scopeservo_scope::{
+    Channels, Frame, Length, Objective, ObjectiveId, Samples, StagePose, Timestamp,
+};
 use scopeservo_servo::{Calibration, Target};
+use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::fs;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
-
-/// Version of the files.
-const SCHEMA: u32 = 1;
-
-/// A calibration as it is kept.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct KeptCalibration {
-    pub(crate) schema: u32,
-    /// UTC.
-    pub(crate) made: String,
-    /// The instrument's name.
-    pub(crate) instrument: String,
-    pub(crate) calibration: Calibration,
-    /// Where the objective was in focus, stage z.
-    pub(crate) focus_z_um: Option<f64>,
-    /// Root mean square residual of its views.
-    pub(crate) residual_px: Option<f64>,
-}
-
-/// A target as it is kept.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct KeptTarget {
-    pub(crate) schema: u32,
-    /// UTC.
-    pub(crate) saved: String,
-    /// The instrument's name.
-    pub(crate) instrument: String,
-    /// Where the stage was.
-    pub(crate) stage: StagePose,
-    pub(crate) target: Target,
-}
+use std::time::{Duration, SystemTime};
 
 /// The data folder.
 pub(crate) struct Store {
@@ -55,23 +28,53 @@ impl Store {
         Self { folder }
     }
 
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     fn calibrations_of(&self, id: &ObjectiveId) -> PathBuf {
         self.folder.join("calibrations").join(file_name(&id.0))
     }
 
-    /// The newest calibration of each objective.
-    pub(crate) fn calibrations(&self) -> Result<BTreeMap<ObjectiveId, KeptCalibration>, CliError> {
-        let mut all = BTreeMap::new();
-        let folders = entries(&self.folder.join("calibrations"))?;
-        for folder in folders.into_iter().filter(|f| f.is_dir()) {
-            // Numbered in the order in which they were made, whatever a clock said.
-            let files = entries(&folder)?.into_iter().filter(|p| is_json(p));
-            if let Some(path) = files.max_by_key(|p| (number_of(p), p.clone())) {
-                let kept: KeptCalibration = read(&path)?;
-                all.insert(kept.calibration.objective.clone(), kept);
+    /// The newest calibration of an objective. One that is damaged is none: an error tells which, and the others count all the same.
+    pub(crate) fn calibration(
+        &self,
+        objective: &Objective,
+    ) -> Result<Option<KeptCalibration>, CliError> {
+        let files = entries(&self.calibrations_of(&objective.id))?.into_iter();
+        // Numbered in the order in which they were made, whatever a clock said.
+        let newest = files
+            .filter(|p| is_json(p))
+            .max_by_key(|p| (number_of(p), p.clone()));
+        let Some(path) = newest else { return Ok(None) };
+        let kept: KeptCalibration = read(&path)?;
+        let what = match judge(&kept.calibration, objective) {
+            Ok(()) => return Ok(Some(kept)),
+            Err(what) => {
+                format!("{what}. Move it away for the one before to count, or calibrate again")
             }
-        }
-        Ok(all)
+        };
+        Err(CliError::Damaged { path, what })
+    }
+
+    /// Whether calibrations of these objectives could be kept, before anything is done for them.
+    pub(crate) fn try_calibrations(&self, of: &[Objective]) -> Result<(), CliError> {
+        self.try_folder(&self.folder.join("calibrations"))?;
+        of.iter()
+            .try_for_each(|objective| self.try_folder(&self.calibrations_of(&objective.id)))
+    }
+
+    /// The same for targets.
+    pub(crate) fn try_targets(&self) -> Result<(), CliError> {
+        self.try_folder(&self.targets())
+    }
+
+    fn try_folder(&self, folder: &Path) -> Result<(), CliError> {
+        files::try_folder(folder).map_err(|source| CliError::CannotWrite {
+            path: folder.into(),
+            source,
+            instead: "name another data_folder in the description of the instrument",
+        })
     }
 
     /// Keeps a calibration beside the earlier ones. Returns its file.
@@ -83,7 +86,7 @@ impl Store {
         residual_px: Option<f64>,
     ) -> Result<PathBuf, CliError> {
         let folder = self.calibrations_of(&calibration.objective);
-        make(&folder)?;
+        make_folder(&folder).map_err(CliError::not_kept(&folder))?;
         let made = utc(SystemTime::now());
         let kept = KeptCalibration {
             schema: SCHEMA,
@@ -99,7 +102,7 @@ impl Store {
             let number = last.unwrap_or(0) + 1;
             let path = folder.join(format!("{number:06}_{}.json", made.replace(':', "-")));
             // Another process may make one at the same time: whichever comes second takes the next number.
-            if write_new(&path, &bytes)? {
+            if write_new(&path, &bytes).map_err(CliError::not_kept(&path))? {
                 return Ok(path);
             }
         }
@@ -109,6 +112,7 @@ impl Store {
         self.folder.join("targets")
     }
 
+    /// The file that makes a target exist. Its picture lies beside it.
     fn target_file(&self, name: &str) -> Result<PathBuf, CliError> {
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
         if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
@@ -119,15 +123,17 @@ impl Store {
         Ok(self.targets().join(format!("{name}.json")))
     }
 
-    /// Refuses a name that is taken or is none, before anything is done for it.
+    /// Refuses a name that is taken or is none, and a folder that takes no files, before anything is done for it.
     pub(crate) fn check_new_target(&self, name: &str) -> Result<(), CliError> {
         let path = self.target_file(name)?;
-        for path in [path.with_extension("png"), path] {
-            if path.exists() {
-                return Err(taken(name, &path));
-            }
+        check_name(name)?;
+        self.try_targets()?;
+        // A target must be found again where a file system is blind to case.
+        let mut known = self.target_names()?.into_iter();
+        match known.find(|known| known.eq_ignore_ascii_case(name)) {
+            Some(known) => Err(taken(&known, &path.with_file_name(format!("{known}.json")))),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     /// Keeps a target under a new name, with its picture for people. Returns its file.
@@ -139,9 +145,8 @@ impl Store {
         target: Target,
         frame: &Frame,
     ) -> Result<PathBuf, CliError> {
-        self.check_new_target(name)?;
         let path = self.target_file(name)?;
-        make(&self.targets())?;
+        let picture = path.with_extension("png");
         let kept = KeptTarget {
             schema: SCHEMA,
             saved: utc(SystemTime::now()),
@@ -149,19 +154,29 @@ impl Store {
             stage,
             target,
         };
+        let bytes = to_json(&kept)?;
         let (width, height) = (frame.width as u32, frame.height as u32);
         let mut png = Vec::new();
         PngEncoder::new(&mut png)
             .write_image(&frame.rgb8(), width, height, ExtendedColorType::Rgb8)
             .map_err(|e| CliError::Internal(format!("the target's picture: {e}")))?;
-        let picture = path.with_extension("png");
-        // Another process may save one at the same time: the name belongs to whichever comes first.
-        for (file, bytes) in [(&path, to_json(&kept)?), (&picture, png)] {
-            if !write_new(file, &bytes)? {
-                return Err(taken(name, file));
+        make_folder(&self.targets()).map_err(CliError::not_kept(&self.targets()))?;
+        // Another program may save one of that name at the same time: the picture must be that of whichever comes first.
+        let _lock = files::lock(&self.targets());
+        if path.exists() {
+            return Err(taken(name, &path));
+        }
+        // A picture alone is what a killed program left. The file that makes the target exist comes last.
+        files::replace(&picture, &png).map_err(CliError::not_kept(&picture))?;
+        match write_new(&path, &bytes) {
+            Ok(true) => Ok(path),
+            Ok(false) => Err(taken(name, &path)),
+            Err(error) => {
+                // Of no use alone. It is no obstacle either, should it stay.
+                let _ = fs::remove_file(&picture);
+                Err(CliError::not_kept(&path)(error))
             }
         }
-        Ok(path)
     }
 
     /// A saved target.
@@ -178,10 +193,13 @@ impl Store {
             )));
         }
         let kept: KeptTarget = read(&path)?;
-        kept.target.features.check().map_err(|e| CliError::Read {
-            path,
-            what: format!("it is damaged: {e}"),
-        })?;
+        kept.target
+            .features
+            .check()
+            .map_err(|e| CliError::Damaged {
+                path,
+                what: e.to_string(),
+            })?;
         Ok(kept)
     }
 
@@ -237,23 +255,18 @@ fn read<T: DeserializeOwned>(path: &Path) -> Result<T, CliError> {
         path: path.into(),
         what,
     };
+    let damaged = |e: serde_json::Error| CliError::Damaged {
+        path: path.into(),
+        what: format!("{e}. Move it away, or make it again"),
+    };
     let text = fs::read(path).map_err(|e| bad(e.to_string()))?;
-    let value: serde_json::Value =
-        serde_json::from_slice(&text).map_err(|e| bad(format!("it is damaged: {e}")))?;
-    if value["schema"] != SCHEMA {
-        return Err(bad(format!(
-            "it has schema {}, and this version reads {SCHEMA}",
-            value["schema"]
-        )));
+    let value: serde_json::Value = serde_json::from_slice(&text).map_err(damaged)?;
+    match value.get("schema") {
+        Some(schema) if schema != SCHEMA => Err(bad(format!(
+            "it has schema {schema}, and this version reads {SCHEMA}"
+        ))),
+        _ => serde_json::from_value(value).map_err(damaged),
     }
-    serde_json::from_value(value).map_err(|e| bad(format!("it is damaged: {e}")))
-}
-
-fn make(folder: &Path) -> Result<(), CliError> {
-    fs::create_dir_all(folder).map_err(|source| CliError::Write {
-        path: folder.into(),
-        source,
-    })
 }
 
 fn taken(name: &str, path: &Path) -> CliError {
@@ -263,72 +276,9 @@ fn taken(name: &str, path: &Path) -> CliError {
     ))
 }
 
-/// The number before a file's time; 0 for one without.
-fn number_of(path: &Path) -> u64 {
-    let stem = path.file_stem().and_then(|s| s.to_str());
-    let number = stem.and_then(|s| s.split_once('_')).map(|(n, _)| n.parse());
-    number.and_then(Result::ok).unwrap_or(0)
-}
-
 fn to_json(value: &impl Serialize) -> Result<Vec<u8>, CliError> {
     serde_json::to_vec_pretty(value)
         .map_err(|e| CliError::Internal(format!("a file could not be made: {e}")))
-}
-
-/// Writes a file whole or not at all, and never over another: `false` when there is one of that name.
-fn write_new(path: &Path, bytes: &[u8]) -> Result<bool, CliError> {
-    let failed = |source: std::io::Error| CliError::Write {
-        path: path.into(),
-        source,
-    };
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let mut file = tempfile::Builder::new()
-        .prefix(".scopeservo-")
-        .tempfile_in(folder)
-        .map_err(failed)?;
-    file.write_all(bytes).map_err(failed)?;
-    file.as_file().sync_all().map_err(failed)?;
-    // For whoever may read the folder, as other files are.
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt as _;
-        let mode = fs::Permissions::from_mode(0o644);
-        file.as_file().set_permissions(mode).map_err(failed)?;
-    }
-    match file.persist_noclobber(path) {
-        Ok(_) => Ok(true),
-        Err(e) if e.error.kind() == std::io::ErrorKind::AlreadyExists => Ok(false),
-        Err(e) => Err(failed(e.error)),
-    }
-}
-
-/// A name as a file's: what is no letter or digit as its number.
-fn file_name(name: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
-    name.chars()
-        .map(|c| match plain(c) {
-            true => c.to_string(),
-            false => format!("%{:x}", u32::from(c)),
-        })
-        .collect()
-}
-
-/// A moment in UTC, to the second: 2026-11-24T20:15:00Z.
-fn utc(at: SystemTime) -> String {
-    let seconds = at.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    let (days, rest) = (seconds / 86_400, seconds % 86_400);
-    // Days since 0000-03-01, in eras of 400 years (Hinnant, "chrono-compatible low-level date algorithms").
-    let z = days + 719_468;
-    let (era, day_of_era) = (z / 146_097, z % 146_097);
-    let year_of_era =
-        (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month_from_march = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
-    let month = (month_from_march + 2) % 12 + 1;
-    let year = era * 400 + year_of_era + u64::from(month <= 2);
-    let (h, m, s) = (rest / 3600, rest / 60 % 60, rest % 60);
-    format!("{year:04}-{month:02}-{day:02}T{h:02}:{m:02}:{s:02}Z")
 }
 
 #[cfg(test)]
@@ -336,17 +286,26 @@ mod tests {
     use super::*;
     use scopeservo_geometry::Mat2;
 
-    #[test]
-    fn times_are_those_of_the_calendar() {
-        for (seconds, text) in [
-            (0, "1970-01-01T00:00:00Z"),
-            (951_782_399, "2000-02-28T23:59:59Z"),
-            (951_782_400, "2000-02-29T00:00:00Z"),
-            (1_709_251_199, "2024-02-29T23:59:59Z"),
-            (1_795_551_300, "2026-11-24T20:15:00Z"),
-            (4_107_542_400, "2100-03-01T00:00:00Z"),
-        ] {
-            assert_eq!(utc(UNIX_EPOCH + Duration::from_secs(seconds)), text);
+    fn objective() -> Objective {
+        Objective {
+            id: ObjectiveId("Plan 40x/0.65".into()),
+            magnification: 400.0,
+            numerical_aperture: 0.65,
+            nominal_um_per_px: 0.2,
+        }
+    }
+
+    fn calibration(um_per_px: f64) -> Calibration {
+        Calibration {
+            schema: scopeservo_servo::CALIBRATION_SCHEMA,
+            objective: objective().id,
+            image_size_px: [640, 480],
+            stage_from_pixel: Mat2::diagonal(um_per_px * 1e-6, um_per_px * 1e-6),
+            rotation_centre_m: None,
+            covariance: None,
+            backlash_m: None,
+            parcentric_offset_m: None,
+            parfocal_offset_m: None,
         }
     }
 
@@ -354,67 +313,111 @@ mod tests {
     fn the_newest_calibration_counts_and_the_older_ones_stay() {
         let dir = tempfile::tempdir().unwrap();
         let store = Store::new(dir.path().join("data"));
-        assert!(store.calibrations().unwrap().is_empty());
-        let calibration = |scale: f64| Calibration {
-            schema: scopeservo_servo::CALIBRATION_SCHEMA,
-            objective: ObjectiveId("Plan 40x/0.65".into()),
-            image_size_px: [640, 480],
-            stage_from_pixel: Mat2::diagonal(scale, scale),
-            rotation_centre_m: None,
-            covariance: None,
-            backlash_m: None,
-            parcentric_offset_m: None,
-            parfocal_offset_m: None,
-        };
+        let newest = || store.calibration(&objective());
+        assert_eq!(newest().unwrap(), None);
         let z = Some(Length::from_um(-12.5));
-        // One from before files were numbered, and from a clock that was ahead.
-        let folder = store.calibrations_of(&ObjectiveId("Plan 40x/0.65".into()));
+        // One from before files were numbered, and from a clock that was ahead; and one with a number that cannot be counted on from.
+        let folder = store.calibrations_of(&objective().id);
         fs::create_dir_all(&folder).unwrap();
-        fs::write(folder.join("2099-01-01T00-00-00Z.json"), "{}").unwrap();
-        let files: Vec<PathBuf> = [1e-7, 2e-7, 3e-7]
-            .map(|s| {
-                store
-                    .keep_calibration("lab", &calibration(s), z, None)
-                    .unwrap()
+        for name in ["2099-01-01T00-00-00Z.json", "18446744073709551615_x.json"] {
+            fs::write(folder.join(name), "{}").unwrap();
+        }
+        let files: Vec<PathBuf> = [0.19, 0.2, 0.21]
+            .map(|um_per_px| {
+                let calibration = calibration(um_per_px);
+                let kept = store.keep_calibration("lab", &calibration, z, None);
+                kept.unwrap()
             })
             .into();
         assert!(files.iter().all(|f| f.exists()));
-        let newest = store.calibrations().unwrap();
-        let kept = &newest[&ObjectiveId("Plan 40x/0.65".into())];
-        assert_eq!(kept.calibration, calibration(3e-7));
+        let kept = newest().unwrap().unwrap();
+        assert_eq!(kept.calibration, calibration(0.21));
         assert!((kept.focus_z_um.unwrap() + 12.5).abs() < 1e-9);
-        fs::write(&files[2], "{\"schema\":1,").unwrap();
-        let damaged = store.calibrations().unwrap_err().to_string();
-        assert!(damaged.contains("damaged"), "{damaged}");
-        fs::write(&files[2], "{\"schema\":7}").unwrap();
-        let newer = store.calibrations().unwrap_err().to_string();
-        assert!(newer.contains("schema 7"), "{newer}");
+        // What is damaged is none, and is named; the one before counts when it is moved away.
+        for (text, said) in [
+            ("{\"schema\":1,", "is damaged"),
+            ("{}", "is damaged"),
+            ("{\"schema\":7}", "schema 7"),
+        ] {
+            fs::write(&files[2], text).unwrap();
+            let damaged = newest().unwrap_err().to_string();
+            assert!(damaged.contains(said), "{damaged}");
+            assert!(damaged.contains(files[2].to_str().unwrap()), "{damaged}");
+        }
+        fs::remove_file(&files[2]).unwrap();
+        assert_eq!(newest().unwrap().unwrap().calibration, calibration(0.2));
+    }
+
+    /// A view without features: enough to be a file.
+    fn view() -> (Target, Frame) {
+        let target = Target {
+            objective: objective().id,
+            features: scopeservo_sift::Features {
+                width: 4,
+                height: 3,
+                ..Default::default()
+            },
+        };
+        let frame = Frame {
+            width: 4,
+            height: 3,
+            channels: Channels::Gray,
+            bit_depth: 8,
+            samples: Samples::U8(vec![7; 12]),
+            sequence: 0,
+            exposure_start: Timestamp::default(),
+            exposure: Duration::ZERO,
+        };
+        (target, frame)
+    }
+
+    fn keep(store: &Store, name: &str) -> Result<PathBuf, CliError> {
+        let (target, frame) = view();
+        store.keep_target(name, "lab", StagePose::default(), target, &frame)
+    }
+
+    /// Whenever a save is killed, the target is whole or not there, and its name is free as long as it is not there.
+    #[test]
+    fn a_killed_save_leaves_no_half_target_and_does_not_take_the_name() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::new(dir.path().into());
+        let targets = store.targets();
+        fs::create_dir(&targets).unwrap();
+        // Killed between the files: the picture is there, and the file that makes the target exist is not.
+        fs::write(targets.join("spot.png"), "half a picture").unwrap();
+        assert!(store.target_names().unwrap().is_empty());
+        store.check_new_target("spot").unwrap();
+        let file = keep(&store, "spot").unwrap();
+        assert_eq!(store.target_names().unwrap(), ["spot"]);
+        assert_eq!(store.target("spot").unwrap().target, view().0);
+        let picture = store.target_picture("spot").unwrap();
+        assert_eq!((picture.width, picture.height), (4, 3));
+        // Now it is taken, also for the picture, and where case does not count.
+        let before = fs::read(&file).unwrap();
+        for name in ["spot", "SPOT"] {
+            assert!(store.check_new_target(name).is_err(), "{name}");
+        }
+        assert!(keep(&store, "spot").is_err());
+        assert_eq!(fs::read(&file).unwrap(), before);
     }
 
     #[test]
-    fn many_at_once_lose_nothing() {
+    fn a_target_whose_picture_cannot_be_kept_is_not_there() {
         let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("name.json");
-        let won = std::thread::scope(|s| {
-            let all: Vec<_> = (0..8u8)
-                .map(|k| {
-                    let path = &path;
-                    s.spawn(move || write_new(path, &[k; 1000]).unwrap().then_some(k))
-                })
-                .collect();
-            let won = all.into_iter().filter_map(|t| t.join().unwrap());
-            won.collect::<Vec<_>>()
-        });
-        assert_eq!(won.len(), 1);
-        assert_eq!(fs::read(&path).unwrap(), vec![won[0]; 1000]);
-        assert_eq!(entries(dir.path()).unwrap().len(), 1);
+        let store = Store::new(dir.path().into());
+        fs::create_dir_all(store.targets().join("spot.png")).unwrap();
+        let error = keep(&store, "spot").unwrap_err();
+        assert_eq!(error.code(), crate::error::Code::NotKept, "{error}");
+        assert!(store.target_names().unwrap().is_empty());
     }
 
     #[test]
     fn names_of_targets_stay_in_their_folder() {
-        let store = Store::new("data".into());
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::new(dir.path().join("data"));
         for bad in ["", ".", "../x", "a/b", "a\\b", "ä", "a b", ".hidden", "C:x"] {
             assert!(store.check_new_target(bad).is_err(), "{bad}");
+            assert!(store.target(bad).is_err(), "{bad}");
         }
         assert!(store.check_new_target("mitosis-3.b_2").is_ok());
         let none = store.target("mitosis-3").unwrap_err().to_string();

@@ -57,8 +57,8 @@ pub(crate) fn run(args: &TwinServeArgs) -> Result<bool, CliError> {
     let failed = |e: std::io::Error| CliError::Usage(format!("cannot listen on {address}: {e}"));
     let listener = TcpListener::bind(address).map_err(failed)?;
     let at = listener.local_addr().map_err(failed)?;
-    eprintln!("scopeservo: the simulated microscope listens on {at}; Ctrl-C ends it");
-    let told = |what: &str| eprintln!("scopeservo: a client was disconnected: {what}");
+    tell!("scopeservo: the simulated microscope listens on {at}; Ctrl-C ends it");
+    let told = |what: &str| tell!("scopeservo: a client was disconnected: {what}");
     listen(&listener, &offer, secret.as_ref(), &told).map_err(failed)?;
     Ok(true)
 }

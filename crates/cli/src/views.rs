@@ -1,6 +1,8 @@
 //! Every view of a run as a PNG, with its hidden pose, so that an outsider can recompute the errors.
 
+use crate::answer::Answer;
 use crate::error::CliError;
+use crate::files::{make_folder, replace, try_folder};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use scopeservo_scope::Frame;
@@ -8,7 +10,7 @@ use scopeservo_servo::{Event, FrameRole, Stamped};
 use scopeservo_twin::{Truth, Twin};
 use serde::Serialize;
 use std::fs;
-use std::io::BufWriter;
+use std::io;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Serialize)]
@@ -33,10 +35,7 @@ impl ViewWriter {
     /// Makes `DIR/views`.
     pub(crate) fn new(out: &Path, twin: Twin) -> Result<Self, CliError> {
         let folder = out.join("views");
-        fs::create_dir_all(&folder).map_err(|source| CliError::Write {
-            path: folder.clone(),
-            source,
-        })?;
+        make_folder(&folder).map_err(cannot_write(&folder))?;
         Ok(Self {
             folder,
             twin,
@@ -54,22 +53,17 @@ impl ViewWriter {
             return;
         }
         let path = self.folder.join(Self::file_name(frame.sequence));
-        let written = fs::File::create(&path).and_then(|file| {
-            PngEncoder::new_with_quality(
-                BufWriter::new(file),
-                CompressionType::Fast,
-                FilterType::Sub,
-            )
-            .write_image(
-                &frame.rgb8(),
-                frame.width as u32,
-                frame.height as u32,
-                ExtendedColorType::Rgb8,
-            )
-            .map_err(std::io::Error::other)
-        });
+        let (width, height) = (frame.width as u32, frame.height as u32);
+        let mut png = Vec::new();
+        let written =
+            PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Sub)
+                .write_image(&frame.rgb8(), width, height, ExtendedColorType::Rgb8)
+                .map_err(std::io::Error::other)
+                .and_then(|()| fs::write(&path, png));
         if let Err(source) = written {
-            self.failed = Some(CliError::Write { path, source });
+            // Half a picture is none.
+            let _ = fs::remove_file(&path);
+            self.failed = Some(CliError::not_kept(&path)(source));
         }
     }
 
@@ -97,7 +91,7 @@ impl ViewWriter {
         if let Some(error) = self.failed {
             return Err(error);
         }
-        write_json(&out.join("views.json"), &self.records)
+        keep_json(&out.join("views.json"), &self.records)
     }
 }
 
@@ -118,7 +112,7 @@ pub(crate) fn clear_earlier_run(out: &Path) -> Result<(), CliError> {
     for path in views.chain(OURS.map(|name| out.join(name))) {
         match fs::remove_file(&path) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                return Err(CliError::Write { path, source });
+                return Err(cannot_write(&path)(source));
             }
             _ => {}
         }
@@ -126,14 +120,43 @@ pub(crate) fn clear_earlier_run(out: &Path) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Writes a JSON file whole or not at all.
-pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), CliError> {
+/// Why nothing can be kept in the folder of `--out`.
+fn cannot_write(path: &Path) -> impl FnOnce(io::Error) -> CliError {
+    let path = path.into();
+    |source| CliError::CannotWrite {
+        path,
+        source,
+        instead: "give another folder with --out",
+    }
+}
+
+/// Refuses a folder of `--out` that takes no files, before anything is done for it.
+pub(crate) fn try_out(out: &Path) -> Result<(), CliError> {
+    try_folder(out).map_err(cannot_write(out))
+}
+
+/// Keeps a file of a run, in a folder that is made for it, in place of an earlier run's.
+fn keep(path: &Path, text: &str) -> Result<(), CliError> {
+    path.parent()
+        .map_or(Ok(()), make_folder)
+        .and_then(|()| replace(path, text.as_bytes()))
+        .map_err(CliError::not_kept(path))
+}
+
+/// The same for a JSON file.
+pub(crate) fn keep_json(path: &Path, value: &impl Serialize) -> Result<(), CliError> {
     let text = serde_json::to_string_pretty(value)
         .map_err(|e| CliError::Internal(format!("{} could not be made: {e}", path.display())))?;
-    scopeservo_report::write(path, &text).map_err(|source| CliError::Write {
-        path: path.into(),
-        source,
-    })
+    keep(path, &text)
+}
+
+/// Keeps the report of a run and, last, its result: the answer as it then stands.
+pub(crate) fn keep_report(out: &Path, page: &str, answer: &Answer) {
+    let report = out.join("report.html");
+    if answer.or_warn(keep(&report, page)).is_some() {
+        say!(answer, "  report: {}", report.display());
+    }
+    answer.or_warn(keep_json(&out.join("result.json"), &answer.object()));
 }
 
 #[cfg(test)]

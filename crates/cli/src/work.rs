@@ -1,15 +1,18 @@
 //! `focus`, `calibrate`, `target` and `reposition` on the user's instrument.
 
-use crate::args::{CalibrateArgs, FocusArgs, RepositionArgs, TargetListArgs, TargetSaveArgs};
+use crate::answer::Answer;
+use crate::args::{
+    CalibrateArgs, ConfigArgs, FocusArgs, RepositionArgs, TargetListArgs, TargetSaveArgs,
+};
 use crate::demo::check_servo;
 use crate::desk::Desk;
 use crate::error::CliError;
-use crate::output::{self, SCHEMA, calibration as calibration_json};
+use crate::output::{self, calibration as calibration_json};
 use crate::progress::Watcher;
 use crate::store::Store;
-use crate::views::write_json;
+use crate::views::{keep_report, try_out};
 use scopeservo_report as report;
-use scopeservo_scope::{Axis, Frame, Length, Objective, StagePose};
+use scopeservo_scope::{Axis, Frame, Length, Objective, ObjectiveId, StagePose};
 use scopeservo_servo::{
     Bring, Calibrate, CalibrateOptions, Calibration, Event, FocusOptions, FocusResult, FrameRole,
     Outcome, Reposition, RepositionOptions, SaveOptions, SaveTarget, ServoOptions, Sink, Stamped,
@@ -17,7 +20,7 @@ use scopeservo_servo::{
 };
 use scopeservo_setup::Config;
 use serde_json::json;
-use std::fs;
+use std::path::Path;
 use std::time::Instant;
 
 /// Brings an objective into the beam, into focus where that is wanted, and shows which it is where only somebody's word tells.
@@ -31,20 +34,25 @@ fn bring(
     Ok(scopeservo_servo::run(&mut bring, &desk.scope, sink)?)
 }
 
-fn show_focus(objective: &Objective, result: &FocusResult) {
+fn show_focus(answer: &Answer, objective: &Objective, result: &FocusResult) {
     match result.z_um {
         Some(z) => say!(
+            answer,
             "{} is in focus at z = {z:.2} um (sharpness {:.4}, {:.1} times the least seen, {} pictures)",
             objective.id,
             result.sharpness,
             result.contrast,
             result.samples
         ),
-        None => say!("{}: this stage has no z axis; focus by hand", objective.id),
+        None => say!(
+            answer,
+            "{}: this stage has no z axis; focus by hand",
+            objective.id
+        ),
     }
 }
 
-pub(crate) fn focus(args: &FocusArgs) -> Result<bool, CliError> {
+pub(crate) fn focus(args: &FocusArgs, answer: &Answer) -> Result<bool, CliError> {
     if !(args.range_um > 0.0 && args.range_um <= 2000.0) {
         return Err(CliError::Usage(
             "--range-um must be above 0 and at most 2000".into(),
@@ -53,7 +61,7 @@ pub(crate) fn focus(args: &FocusArgs) -> Result<bool, CliError> {
     if args.near_z_um.is_some_and(|z| !z.is_finite()) {
         return Err(CliError::Usage("--near-z-um must be a number".into()));
     }
-    let desk = Desk::open(&args.instrument)?;
+    let desk = Desk::open(&args.instrument, answer)?;
     let objective = desk.objective(args.objective.as_deref())?;
     let mut watcher = Watcher::new(None);
     if let Some(um) = args.near_z_um {
@@ -71,17 +79,14 @@ pub(crate) fn focus(args: &FocusArgs) -> Result<bool, CliError> {
     let Some(result) = result? else {
         return Err(CliError::Internal("nothing was focused".into()));
     };
-    match args.json {
-        true => output::print(&json!({
-            "schema": SCHEMA,
-            "objective": objective.id,
-            "z_um": result.z_um,
-            "sharpness": result.sharpness,
-            "contrast": result.contrast,
-            "samples": result.samples,
-        }))?,
-        false => show_focus(&objective, &result),
-    }
+    answer.put(json!({
+        "objective": objective.id,
+        "z_um": result.z_um,
+        "sharpness": result.sharpness,
+        "contrast": result.contrast,
+        "samples": result.samples,
+    }));
+    show_focus(answer, &objective, &result);
     Ok(true)
 }
 
@@ -94,13 +99,15 @@ fn residual_px(watcher: &Watcher) -> Option<f64> {
     })
 }
 
-pub(crate) fn calibrate(args: &CalibrateArgs) -> Result<bool, CliError> {
-    let desk = Desk::open(&args.instrument)?;
+pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, CliError> {
+    // Before anything moves, and before it is opened.
+    store_of(&args.instrument.description)?.try_calibrations(&[])?;
+    let desk = Desk::open(&args.instrument, answer)?;
     let mut wanted: Vec<Objective> = match args.objective.is_empty() {
         true => desk.scope.gate().objectives().to_vec(),
         false => {
             let of = |name: &String| {
-                let id = scopeservo_scope::ObjectiveId(name.clone());
+                let id = ObjectiveId(name.clone());
                 Ok(desk.scope.objective(&id)?.clone())
             };
             args.objective
@@ -110,7 +117,8 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> Result<bool, CliError> {
         }
     };
     wanted.sort_by(|a, b| a.magnification.total_cmp(&b.magnification));
-    let mut answers = Vec::new();
+    desk.store.try_calibrations(&wanted)?;
+    answer.put(json!({"calibrations": []}));
     for objective in wanted {
         let mut watcher = Watcher::new(None);
         let made = calibrate_one(&desk, &objective, args.no_focus, &mut watcher);
@@ -118,26 +126,29 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> Result<bool, CliError> {
         let calibration = made?;
         let z = desk.scope.focus_heights().get(&objective.id).copied();
         let residual = residual_px(&watcher);
-        let file = desk
-            .store
-            .keep_calibration(&desk.config.name, &calibration, z, residual)?;
-        if args.json {
-            answers.push(json!({
-                "objective": objective.id,
-                "file": file,
-                "focus_z_um": z.map(Length::um),
-                "residual_px": residual,
-                "calibration": calibration_json(&calibration),
-            }));
-        } else {
-            show_calibration(&calibration, residual);
-            say!("  kept in {}", file.display());
+        show_calibration(answer, &calibration, residual);
+        let store = &desk.store;
+        let file = store.keep_calibration(&desk.config.name, &calibration, z, residual);
+        let file = answer.or_warn(file);
+        if let Some(file) = &file {
+            say!(answer, "  kept in {}", file.display());
         }
-    }
-    if args.json {
-        output::print(&json!({"schema": SCHEMA, "calibrations": answers}))?;
+        let entry = json!({
+            "objective": objective.id,
+            "file": file.as_deref().map(Path::to_string_lossy),
+            "focus_z_um": z.map(Length::um),
+            "residual_px": residual,
+            "calibration": calibration_json(&calibration),
+        });
+        answer.push("calibrations", entry);
     }
     Ok(true)
+}
+
+/// Where the instrument's calibrations and targets are kept.
+fn store_of(description: &ConfigArgs) -> Result<Store, CliError> {
+    let config = Config::read(&description.config)?;
+    Ok(Store::new(config.resolve(&config.data_folder)))
 }
 
 fn calibrate_one(
@@ -160,7 +171,7 @@ fn calibrate_one(
     Ok(scopeservo_servo::run(&mut calibrate, &desk.scope, watcher)?)
 }
 
-fn show_calibration(calibration: &Calibration, residual_px: Option<f64>) {
+fn show_calibration(answer: &Answer, calibration: &Calibration, residual_px: Option<f64>) {
     let sigma = calibration.covariance.map(|c| {
         // The relative standard deviation of the first column's length, to first order along x.
         let [[a, _], [b, _]] = calibration.stage_from_pixel.0;
@@ -175,6 +186,7 @@ fn show_calibration(calibration: &Calibration, residual_px: Option<f64>) {
         100.0 * variance.max(0.0).sqrt()
     });
     say!(
+        answer,
         "{}: {:.4} um per pixel{}{}",
         calibration.objective,
         calibration.um_per_px(),
@@ -183,21 +195,23 @@ fn show_calibration(calibration: &Calibration, residual_px: Option<f64>) {
     );
     if let Some(r) = calibration.reading() {
         say!(
+            answer,
             "  kx {:.0}, ky {:.0} pixels per metre, camera turned {:.3} deg against the stage",
             r.kx_px_per_m,
             r.ky_px_per_m,
             r.phi_rad.to_degrees()
         );
     } else {
-        say!("  the picture is mirrored against the stage");
+        say!(answer, "  the picture is mirrored against the stage");
     }
     match calibration.rotation_centre_m {
         Some(eta) => say!(
+            answer,
             "  the view lies {:.3}, {:.3} mm from the axis of rotation",
             eta[0] * 1e3,
             eta[1] * 1e3
         ),
-        None => say!("  the stage does not turn"),
+        None => say!(answer, "  the stage does not turn"),
     }
 }
 
@@ -219,10 +233,9 @@ impl Sink for LastFrame<'_> {
     }
 }
 
-pub(crate) fn save_target(args: &TargetSaveArgs) -> Result<bool, CliError> {
-    let config = Config::read(&args.instrument.description.config)?;
-    Store::new(config.resolve(&config.data_folder)).check_new_target(&args.name)?;
-    let desk = Desk::open(&args.instrument)?;
+pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool, CliError> {
+    store_of(&args.instrument.description)?.check_new_target(&args.name)?;
+    let desk = Desk::open(&args.instrument, answer)?;
     let objective = desk.objective(args.objective.as_deref())?;
     let mut watcher = Watcher::new(None);
     let mut sink = LastFrame {
@@ -249,61 +262,60 @@ pub(crate) fn save_target(args: &TargetSaveArgs) -> Result<bool, CliError> {
     }
     let frame = frame.ok_or_else(|| CliError::Internal("the target has no picture".into()))?;
     let name = &args.name;
+    answer.put(json!({"name": name, "objective": objective.id, "features": features}));
     let file = desk
         .store
         .keep_target(name, &desk.config.name, stage, target, &frame)?;
-    match args.json {
-        true => output::print(&json!({
-            "schema": SCHEMA,
-            "name": name,
-            "file": file,
-            "objective": objective.id,
-            "features": features,
-        }))?,
-        false => {
-            say!("saved '{name}' at {}: {features} features", objective.id);
-            say!("  {} and its picture beside it", file.display());
-            say!("  come back with: scopeservo reposition {name}");
-        }
-    }
+    answer.put(json!({"file": file.to_string_lossy()}));
+    say!(
+        answer,
+        "saved '{name}' at {}: {features} features",
+        objective.id
+    );
+    say!(answer, "  {} and its picture beside it", file.display());
+    say!(answer, "  come back with: scopeservo reposition {name}");
     Ok(true)
 }
 
 /// Fewer, and a run would refuse the target.
 const MIN_FEATURES: usize = 30;
 
-pub(crate) fn list_targets(args: &TargetListArgs) -> Result<bool, CliError> {
-    let config = Config::read(&args.description.config)?;
-    let store = Store::new(config.resolve(&config.data_folder));
-    let mut rows = Vec::new();
-    for name in store.target_names()? {
-        let kept = store.target(&name)?;
-        match args.json {
-            true => rows.push(json!({
-                "name": name,
-                "saved": kept.saved,
-                "instrument": kept.instrument,
-                "objective": kept.target.objective,
-                "features": kept.target.features.len(),
-            })),
-            false => say!(
-                "{name:24} {:8} {:5} features  {}  {}",
-                kept.target.objective.0,
-                kept.target.features.len(),
-                kept.saved,
-                kept.instrument
-            ),
-        }
+pub(crate) fn list_targets(args: &TargetListArgs, answer: &Answer) -> Result<bool, CliError> {
+    let store = store_of(&args.description)?;
+    let names = store.target_names()?;
+    answer.put(json!({"targets": []}));
+    if names.is_empty() {
+        say!(
+            answer,
+            "no target is saved yet: scopeservo target save NAME"
+        );
     }
-    if args.json {
-        output::print(&json!({"schema": SCHEMA, "targets": rows}))?;
-    } else if store.target_names()?.is_empty() {
-        say!("no target is saved yet: scopeservo target save NAME");
+    for name in names {
+        // One that is damaged does not keep the others away.
+        let Some(kept) = answer.or_warn(store.target(&name)) else {
+            continue;
+        };
+        say!(
+            answer,
+            "{name:24} {:8} {:5} features  {}  {}",
+            kept.target.objective.0,
+            kept.target.features.len(),
+            kept.saved,
+            kept.instrument
+        );
+        let entry = json!({
+            "name": name,
+            "saved": kept.saved,
+            "instrument": kept.instrument,
+            "objective": kept.target.objective,
+            "features": kept.target.features.len(),
+        });
+        answer.push("targets", entry);
     }
     Ok(true)
 }
 
-pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
+pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool, CliError> {
     let started = Instant::now();
     check_servo(args.lambda, args.max_iterations)?;
     // What can be wrong without the instrument is found before it is touched.
@@ -315,11 +327,8 @@ pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
             args.name, kept.instrument, config.name
         )));
     }
-    fs::create_dir_all(&args.out).map_err(|source| CliError::Write {
-        path: args.out.clone(),
-        source,
-    })?;
-    let desk = Desk::open(&args.instrument)?;
+    try_out(&args.out)?;
+    let desk = Desk::open(&args.instrument, answer)?;
     let servo = ServoOptions {
         lambda: args.lambda,
         max_iterations: args.max_iterations,
@@ -333,16 +342,7 @@ pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
     let size = [info.width, info.height];
     let known = match args.calibrate {
         true => Vec::new(),
-        false => desk
-            .store
-            .calibrations()?
-            .into_iter()
-            // Of another instrument or camera, or another mode of it, it is of no use.
-            .filter(|(_, kept)| {
-                kept.calibration.image_size_px == size && kept.instrument == desk.config.name
-            })
-            .map(|(id, kept)| (id, kept.calibration))
-            .collect(),
+        false => known_calibrations(&desk, size, answer),
     };
     let mut run = Reposition::new(kept.target, options).with_calibrations(known);
     let mut watcher = Watcher::new(None);
@@ -355,8 +355,8 @@ pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
     let outcome = outcome?;
     desk.scope.check_cancel()?;
     let counters = desk.scope.counters();
-    let answer = json!({
-        "schema": SCHEMA,
+    let seconds = started.elapsed().as_secs_f64();
+    answer.put(json!({
         "verdict": outcome.verdict,
         "reason": outcome.reason,
         "message": outcome.message,
@@ -366,57 +366,62 @@ pub(crate) fn reposition(args: &RepositionArgs) -> Result<bool, CliError> {
         "moves": counters.moves - before.moves,
         "frames": counters.frames - before.frames,
         "objective_changes": counters.objective_changes - before.objective_changes,
-        "seconds": started.elapsed().as_secs_f64(),
+        "seconds": seconds,
         "magnifications": output::magnifications(&outcome),
-    });
+    }));
+    show_outcome(answer, &outcome);
+    // The verdict stands, whether or not the stage still answers.
+    let z = desk.scope.gate().position().ok();
+    let z = z.and_then(|at| at.si(Axis::Z));
+    say!(
+        answer,
+        "  {} moves, {} pictures, {seconds:.1} s{}",
+        counters.moves - before.moves,
+        counters.frames - before.frames,
+        z.map_or(String::new(), |z| format!(", z = {:.1} um", z * 1e6))
+    );
     let context = report::Context {
         title: format!("Back to {}", args.name),
         instrument: desk.config.name.clone(),
         command: output::command_line(),
         version: env!("CARGO_PKG_VERSION").into(),
-        wall_time_s: Some(started.elapsed().as_secs_f64()),
+        wall_time_s: Some(seconds),
         convergence: Some(report::Convergence {
             position_px: servo.position_px,
             angle_deg: servo.angle_deg,
         }),
         ..report::Context::default()
     };
-    let path = args.out.join("report.html");
-    write_json(&args.out.join("result.json"), &answer)?;
-    report::write(&path, &report::html(&watcher.recorder, None, &context)).map_err(|source| {
-        CliError::Write {
-            path: path.clone(),
-            source,
-        }
-    })?;
-    match args.json {
-        true => output::print(&answer)?,
-        false => {
-            show_outcome(&outcome);
-            let z = desk.scope.gate().position()?.si(Axis::Z);
-            say!(
-                "  {} moves, {} pictures, {:.1} s{}",
-                counters.moves - before.moves,
-                counters.frames - before.frames,
-                started.elapsed().as_secs_f64(),
-                z.map_or(String::new(), |z| format!(", z = {:.1} um", z * 1e6))
-            );
-            say!("  report: {}", path.display());
-        }
-    }
+    let page = report::html(&watcher.recorder, None, &context);
+    keep_report(&args.out, &page, answer);
     Ok(outcome.verdict == Verdict::Arrived)
 }
 
-fn show_outcome(outcome: &Outcome) {
+/// The calibrations that this instrument and camera made. One that is damaged is measured again on the way.
+fn known_calibrations(
+    desk: &Desk,
+    size_px: [usize; 2],
+    answer: &Answer,
+) -> Vec<(ObjectiveId, Calibration)> {
+    let objectives = desk.scope.gate().objectives().iter();
+    let kept = objectives.filter_map(|o| answer.or_warn(desk.store.calibration(o)).flatten());
+    // Of another instrument or camera, or another mode of it, it is of no use.
+    kept.filter(|k| k.calibration.image_size_px == size_px && k.instrument == desk.config.name)
+        .map(|k| (k.calibration.objective.clone(), k.calibration))
+        .collect()
+}
+
+fn show_outcome(answer: &Answer, outcome: &Outcome) {
     let verdict = output::word(outcome.verdict);
-    say!("{verdict}: {}", outcome.message);
+    say!(answer, "{verdict}: {}", outcome.message);
     for m in output::magnifications(outcome) {
         match (m.iterations, m.inliers, m.error_um, m.error_deg) {
             (Some(n), Some(inliers), Some(um), Some(deg)) => say!(
+                answer,
                 "  {:>4}  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {deg:8.4} deg",
                 m.objective
             ),
-            _ => say!("  {:>4}  the target was not seen", m.objective),
+            _ => say!(answer, "  {:>4}  the target was not seen", m.objective),
         }
     }
 }

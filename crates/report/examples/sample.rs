@@ -24,6 +24,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         truth.then_some(&run.truth),
         &synthetic::context(),
     );
-    scopeservo_report::write(file.as_ref(), &page)?;
+    std::fs::write(file, page)?;
     Ok(())
 }

@@ -1,10 +1,9 @@
 //! A run as one self-contained HTML file: the answer first, then how it is known.
 //!
 //! A [`Recorder`] listens while a run happens. [`html`] turns what it heard into a page of inline SVG and embedded
-//! pictures that loads nothing from anywhere, and [`write()`] puts it on disk whole or not at all. What a run did not come
-//! to is said in a sentence where it would stand.
+//! pictures that loads nothing from anywhere. What a run did not come to is said in a sentence where it would stand.
 //!
-//! Known to this crate: events, frames, calibrations. Unknown: how they came about.
+//! Known to this crate: events, frames, calibrations. Unknown: how they came about, and files.
 
 mod answer;
 mod calibration;
@@ -20,7 +19,7 @@ mod svg;
 mod text;
 mod views;
 
-pub use page::{html, write};
+pub use page::html;
 pub use recorder::Recorder;
 
 use serde::{Deserialize, Serialize};

@@ -8,8 +8,6 @@ use crate::{Context, Recorder, Truth};
 use crate::{answer, calibration, focus, making, matches, views};
 use scopeservo_servo::Verdict;
 use std::fmt::Write as _;
-use std::io::Write as _;
-use std::path::Path;
 
 const STYLE: &str = include_str!("style.css");
 
@@ -138,32 +136,4 @@ fn gallery(recorder: &Recorder, story: &Story<'_>) -> Gallery {
         }
     }
     gallery
-}
-
-/// Writes a page whole or not at all: into a temporary file beside it, which then takes its name.
-///
-/// # Errors
-/// Those of creating, writing and renaming files; the temporary file is then gone again.
-pub fn write(path: &Path, html: &str) -> std::io::Result<()> {
-    let name = path.file_name().ok_or_else(|| {
-        std::io::Error::new(
-            std::io::ErrorKind::InvalidInput,
-            "a report needs a file name",
-        )
-    })?;
-    let mut hidden = std::ffi::OsString::from(".");
-    hidden.push(name);
-    hidden.push(format!(".{}.part", std::process::id()));
-    let beside = path.with_file_name(hidden);
-    let written = std::fs::File::create(&beside)
-        .and_then(|mut file| {
-            file.write_all(html.as_bytes())?;
-            file.sync_all()
-        })
-        .and_then(|()| std::fs::rename(&beside, path));
-    if written.is_err() {
-        // The first error is the one to tell; a leftover that cannot be removed changes nothing about it.
-        let _ = std::fs::remove_file(&beside);
-    }
-    written
 }

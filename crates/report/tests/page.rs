@@ -2,7 +2,7 @@
 
 mod synthetic;
 
-use scopeservo_report::{Context, Recorder, Truth, html, write};
+use scopeservo_report::{Context, Recorder, Truth, html};
 use std::sync::OnceLock;
 
 /// Made once: pictures of tissue cost more than everything else here.
@@ -240,20 +240,4 @@ fn values_that_are_no_numbers_do_not_reach_the_page() {
         ..arrived().truth.clone()
     };
     check(&html(&recorder, Some(&truth), &synthetic::context()));
-}
-
-#[test]
-fn a_file_is_written_whole_and_nothing_is_left_beside_it() {
-    let folder = std::env::temp_dir().join(format!("scopeservo-report-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let path = folder.join("run.html");
-    write(&path, "first").unwrap();
-    write(&path, "second").unwrap();
-    assert_eq!(std::fs::read_to_string(&path).unwrap(), "second");
-    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
-    // A folder cannot be replaced by a file; what was tried is gone again.
-    std::fs::create_dir(folder.join("taken")).unwrap();
-    assert!(write(&folder.join("taken"), "x").is_err());
-    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 2);
-    std::fs::remove_dir_all(&folder).unwrap();
 }

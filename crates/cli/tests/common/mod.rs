@@ -93,3 +93,15 @@ pub fn save_rgba(path: &Path, width: usize, height: usize, gray: &[u8]) {
     .save(path)
     .expect("the folder can be written");
 }
+
+/// A description with the twin's settings changed.
+pub fn describe(folder: &Path, twin: &str) {
+    let head = "name = \"test bench\"\n[drivers.twin.twin]\nseed = 4\n";
+    let devices = "[devices]\nstage = \"twin\"\ncamera = \"twin\"\nnosepiece = \"twin\"\n";
+    let change = match twin.contains("\"xy\"") {
+        true => "[objective_change]\nanywhere = true\n",
+        false => "[objective_change]\nretract_z_um = -2000\nmargin_um = 0\n",
+    };
+    let text = format!("{head}{twin}\n{devices}{change}");
+    std::fs::write(folder.join("scopeservo.toml"), text).expect("the folder can be written");
+}

@@ -1,0 +1,365 @@
+//! The answer always comes out: whoever reads it, whatever cannot be written, however the command ends.
+
+#![cfg(unix)]
+
+mod common;
+
+use common::{code, describe, json, save_gray8, scopeservo, stderr, tissue_gray};
+use serde_json::Value;
+use std::fs::{self, File};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
+
+fn program(folder: &Path, args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_scopeservo"));
+    command.current_dir(folder).args(args);
+    command
+}
+
+fn full() -> Stdio {
+    File::options()
+        .write(true)
+        .open("/dev/full")
+        .expect("Linux has it")
+        .into()
+}
+
+/// The exit code when the readers of stdout and stderr go away before anything is said, as `| true` does.
+fn unread(folder: &Path, args: &[&str]) -> Option<i32> {
+    let mut command = program(folder, args);
+    let mut child = command
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop((child.stdout.take(), child.stderr.take()));
+    child.wait().unwrap().code()
+}
+
+/// The one object on stdout. It has what every answer has.
+fn object(output: &Output) -> Value {
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(said.lines().count(), 1, "{said}");
+    let object = json(output);
+    assert_eq!(object["schema"], 1, "{object}");
+    assert!(object["warnings"].is_array(), "{object}");
+    object
+}
+
+/// Runs a command in which no file can grow beyond a kilobyte: enough for a trial, too little for what is to be kept.
+fn on_a_full_disk(folder: &Path, args: &str) -> Output {
+    let program = env!("CARGO_BIN_EXE_scopeservo");
+    // A write beyond is then an error and no signal.
+    let script = format!("trap '' XFSZ; ulimit -f 2; exec '{program}' {args}");
+    Command::new("sh")
+        .current_dir(folder)
+        .args(["-c", &script])
+        .output()
+        .unwrap()
+}
+
+fn codes(warnings: &Value) -> Vec<&str> {
+    let all = warnings.as_array().unwrap().iter();
+    all.map(|w| w["code"].as_str().unwrap()).collect()
+}
+
+const ONE_OBJECTIVE: &str = "stage = \"xyz\"\nobjectives = [\"10x\"]";
+
+/// A folder with a target `spot` and the objective's calibration, and the slide moved so far that it cannot be found again.
+fn out_of_reach() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    describe(dir.path(), ONE_OBJECTIVE);
+    let saved = scopeservo(dir.path(), &["target", "save", "spot", "--focus"]);
+    assert_eq!(code(&saved), 0, "{}", stderr(&saved));
+    let made = scopeservo(dir.path(), &["calibrate", "--no-focus"]);
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    let moved = format!("{ONE_OBJECTIVE}\ncentre_um = [9000, 9000]");
+    describe(dir.path(), &moved);
+    dir
+}
+
+#[test]
+fn not_found_is_exit_3_whoever_reads_it() {
+    let dir = out_of_reach();
+    for args in [
+        &["reposition", "spot"][..],
+        &["reposition", "spot", "--json"],
+    ] {
+        assert_eq!(unread(dir.path(), args), Some(3), "{args:?}");
+    }
+    let read = scopeservo(dir.path(), &["reposition", "spot", "--json"]);
+    assert_eq!(code(&read), 3, "{}", stderr(&read));
+    assert_eq!(object(&read)["verdict"], "not_found");
+}
+
+#[test]
+fn a_reader_who_leaves_does_not_cut_the_work_short() {
+    let dir = tempfile::tempdir().unwrap();
+    describe(dir.path(), "objectives = [\"10x\", \"20x\"]");
+    assert_eq!(unread(dir.path(), &["calibrate"]), Some(0));
+    for objective in ["10x", "20x"] {
+        let kept = dir.path().join("scopeservo-data/calibrations");
+        let kept = fs::read_dir(kept.join(objective)).unwrap();
+        assert_eq!(kept.count(), 1, "{objective}");
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn json_that_cannot_be_written_is_exit_1_and_lines_that_cannot_are_a_warning() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    let (w, h) = (320, 240);
+    save_gray8(&here.join("a.png"), w, h, tissue_gray(3, [0.0; 2], w, h));
+    save_gray8(&here.join("b.png"), w, h, vec![200; w * h]);
+    describe(here, ONE_OBJECTIVE);
+    for (args, hoped) in [
+        (&["target", "list"][..], 0),
+        (&["register", "a.png", "a.png"], 0),
+        (&["register", "a.png", "b.png"], 3),
+    ] {
+        let lines = program(here, args).stdout(full()).output().unwrap();
+        assert_eq!(code(&lines), hoped, "{args:?}");
+        assert!(
+            stderr(&lines).contains("warning") && stderr(&lines).contains("stdout"),
+            "{}",
+            stderr(&lines)
+        );
+        let with_json = [args, &["--json"]].concat();
+        let lost = program(here, &with_json).stdout(full()).output().unwrap();
+        assert_eq!(code(&lost), 1, "{args:?}");
+        assert!(!stderr(&lost).is_empty());
+        // Nobody hears a warning where stderr takes nothing either.
+        let deaf = program(here, args).stdout(full()).stderr(full()).status();
+        assert_eq!(deaf.unwrap().code(), Some(hoped), "{args:?}");
+    }
+}
+
+/// What ends a command early, by its code word and exit code.
+#[test]
+fn with_json_there_is_one_object_on_every_early_end() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    fs::write(here.join("letter.png"), "no picture").unwrap();
+    describe(here, ONE_OBJECTIVE);
+    fs::write(here.join("broken.toml"), "name = 3").unwrap();
+    for (line, word, exit) in [
+        ("demo --nonsense", "usage", 2),
+        ("register letter.png", "usage", 2),
+        ("target save", "usage", 2),
+        ("demo --lambda 0", "usage", 2),
+        ("reposition none", "usage", 2),
+        ("register letter.png letter.png", "bad_image", 2),
+        ("demo --specimen letter.png", "bad_image", 2),
+        ("doctor --config broken.toml", "bad_description", 2),
+        ("target list --config none.toml", "bad_description", 2),
+        ("driver check --tcp 127.0.0.1:1", "no_driver", 2),
+        ("focus --objective 63x", "refused", 3),
+        ("calibrate --objective 63x", "refused", 3),
+        ("target save spot --objective 63x", "refused", 3),
+    ] {
+        let args: Vec<&str> = line.split(' ').chain(["--json"]).collect();
+        let output = scopeservo(here, &args);
+        assert_eq!(code(&output), exit, "{line}: {}", stderr(&output));
+        let error = &object(&output)["error"];
+        assert_eq!(error["code"], word, "{line}: {error}");
+        let message = error["message"].as_str().unwrap();
+        assert!(message.len() > 20, "{line}: {message}");
+        // People read the same.
+        assert!(stderr(&output).contains(message), "{line}");
+    }
+    // What follows -- belongs to the driver.
+    let not_ours = scopeservo(here, &["driver", "check", "--", "/no/such", "--json"]);
+    assert_eq!(code(&not_ours), 2);
+    assert!(not_ours.stdout.is_empty());
+}
+
+/// Waits until a signal would no longer simply kill it.
+#[cfg(target_os = "linux")]
+fn listens(child: &Child) -> bool {
+    const SIGINT: u64 = 1 << 1;
+    let status = fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap();
+    let caught = status.lines().find_map(|l| l.strip_prefix("SigCgt:"));
+    u64::from_str_radix(caught.unwrap().trim(), 16).unwrap() & SIGINT != 0
+}
+
+/// Presses Ctrl-C when `ready`, and again and again until the program ends.
+#[cfg(target_os = "linux")]
+fn pressed(folder: &Path, args: &[&str], ready: impl Fn(&Child) -> bool) -> Output {
+    let mut child = program(folder, args)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let look = Duration::from_millis(20);
+    while !ready(&child) {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before");
+        std::thread::sleep(look);
+    }
+    while child.try_wait().unwrap().is_none() {
+        let id = child.id().to_string();
+        Command::new("kill").args(["-INT", &id]).status().unwrap();
+        std::thread::sleep(look);
+    }
+    child.wait_with_output().unwrap()
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn ctrl_c_with_json_tells_one_object_however_often_it_is_pressed() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    // A driver that starts and says nothing: nobody waits for it after the third time.
+    let silent = "name = \"silent\"\n[drivers.d]\nprogram = [\"sh\", \"-c\", \"touch started; cat > /dev/null\"]\n\
+                  [devices]\nstage = \"d\"\ncamera = \"d\"\nnosepiece = \"none\"\n\
+                  [[objective]]\nid = \"10x\"\nmagnification = 100\nnumerical_aperture = 0.25\num_per_px = 1.0\n";
+    fs::write(here.join("scopeservo.toml"), silent).unwrap();
+    let started = here.join("started");
+    let output = pressed(here, &["calibrate", "--json"], |_| started.exists());
+    assert_eq!(code(&output), 1, "{}", stderr(&output));
+    assert_eq!(object(&output)["error"]["code"], "interrupted");
+    // An instrument at work: it is stopped at the first, and nobody waits at the second.
+    describe(here, &format!("{ONE_OBJECTIVE}\nreal_time = true"));
+    let output = pressed(here, &["calibrate", "--json"], |_| {
+        // By then it sweeps; where a machine is too slow for that, it is being opened.
+        std::thread::sleep(Duration::from_secs(1));
+        true
+    });
+    assert_eq!(code(&output), 1, "{}", stderr(&output));
+    assert_eq!(object(&output)["error"]["code"], "interrupted");
+    // Where no instrument is, it ends at once.
+    let (w, h) = (640, 480);
+    save_gray8(&here.join("a.png"), w, h, tissue_gray(3, [0.0; 2], w, h));
+    let endless = ["register", "a.png", "a.png", "--time", "10000", "--json"];
+    let output = pressed(here, &endless, listens);
+    assert_eq!(code(&output), 1, "{}", stderr(&output));
+    assert_eq!(object(&output)["error"]["code"], "interrupted");
+}
+
+#[test]
+fn folders_are_tried_before_the_instrument_is_opened() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    describe(here, ONE_OBJECTIVE);
+    let saved = scopeservo(here, &["target", "save", "spot", "--focus"]);
+    assert_eq!(code(&saved), 0, "{}", stderr(&saved));
+    // An instrument that cannot be opened: what is refused was refused before.
+    let closed = "name = \"test bench\"\n[drivers.d]\nprogram = [\"/no/such/driver\"]\n\
+                  [devices]\nstage = \"d\"\ncamera = \"d\"\nnosepiece = \"d\"\n\
+                  [objective_change]\nanywhere = true\n";
+    fs::write(here.join("scopeservo.toml"), closed).unwrap();
+    fs::write(here.join("file"), "in the way").unwrap();
+    let refused = |args: &[&str]| -> String {
+        let output = scopeservo(here, &[args, &["--json"]].concat());
+        assert_eq!(code(&output), 2, "{args:?}: {}", stderr(&output));
+        let error = object(&output)["error"].clone();
+        assert_eq!(error["code"], "cannot_write", "{args:?}: {error}");
+        error["message"].as_str().unwrap().to_owned()
+    };
+    // Each is told what it can do.
+    let advice = refused(&["reposition", "spot", "--out", "file"]);
+    assert!(advice.contains("--out"), "{advice}");
+    refused(&["reposition", "spot", "--out", "file/run"]);
+    let in_a_file = format!("data_folder = \"file\"\n{closed}");
+    fs::write(here.join("scopeservo.toml"), in_a_file).unwrap();
+    for args in [&["calibrate"][..], &["target", "save", "other"]] {
+        let advice = refused(args);
+        assert!(
+            advice.contains("data_folder") && !advice.contains("--out"),
+            "{advice}"
+        );
+    }
+    let init = scopeservo(here, &["init", "file/scopeservo.toml"]);
+    assert_eq!(code(&init), 2);
+    assert!(!stderr(&init).contains("--out"), "{}", stderr(&init));
+}
+
+#[test]
+fn what_was_reached_is_told_when_it_cannot_be_kept() {
+    let dir = out_of_reach();
+    let here = dir.path();
+    // A run: its verdict, and what of it is missing.
+    let run = on_a_full_disk(here, "reposition spot --json");
+    assert_eq!(code(&run), 3, "{}", stderr(&run));
+    let answer = object(&run);
+    assert_eq!(answer["verdict"], "not_found");
+    assert_eq!(codes(&answer["warnings"]), ["not_kept", "not_kept"]);
+    let run = on_a_full_disk(here, "reposition spot");
+    assert_eq!(code(&run), 3, "{}", stderr(&run));
+    let said = String::from_utf8_lossy(&run.stdout).into_owned();
+    assert!(
+        said.starts_with("not found") && !said.contains("report:"),
+        "{said}"
+    );
+    assert!(stderr(&run).contains("report.html could not be kept"));
+    // A calibration: its numbers.
+    let made = on_a_full_disk(here, "calibrate --json");
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    let answer = object(&made);
+    assert_eq!(codes(&answer["warnings"]), ["not_kept"]);
+    let calibration = &answer["calibrations"][0];
+    assert!(calibration["file"].is_null(), "{calibration}");
+    let um_per_px = &calibration["calibration"]["um_per_px"];
+    assert!(
+        (um_per_px.as_f64().unwrap() / 2.22 - 1.0).abs() < 0.01,
+        "{calibration}"
+    );
+    // A target: it is there or it is not, and its name is not taken by half of one.
+    let lost = on_a_full_disk(here, "target save other --focus --json");
+    assert_eq!(code(&lost), 1, "{}", stderr(&lost));
+    let answer = object(&lost);
+    assert_eq!(answer["error"]["code"], "not_kept");
+    assert!(answer["features"].as_u64().unwrap() > 100, "{answer}");
+    let list = object(&scopeservo(here, &["target", "list", "--json"]));
+    assert_eq!(list["targets"].as_array().unwrap().len(), 1, "{list}");
+    let again = scopeservo(here, &["target", "save", "other", "--focus"]);
+    assert_eq!(code(&again), 0, "{}", stderr(&again));
+}
+
+#[test]
+fn calibrations_made_before_a_refusal_are_kept_and_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    describe(here, "objectives = [\"10x\", \"20x\"]");
+    let toml = fs::read_to_string(here.join("scopeservo.toml")).unwrap();
+    let toml = format!("{toml}[limits_for.20x]\nx_um = [5000, 6000]\n");
+    fs::write(here.join("scopeservo.toml"), toml).unwrap();
+    let output = scopeservo(here, &["calibrate", "--json"]);
+    assert_eq!(code(&output), 3, "{}", stderr(&output));
+    let answer = object(&output);
+    assert_eq!(answer["error"]["code"], "refused", "{answer}");
+    let made = answer["calibrations"].as_array().unwrap();
+    assert_eq!(made.len(), 1, "{answer}");
+    assert_eq!(made[0]["objective"], "10x");
+    assert!(here.join(made[0]["file"].as_str().unwrap()).exists());
+}
+
+#[test]
+fn what_is_damaged_is_told_and_the_rest_counts() {
+    let dir = out_of_reach();
+    let here = dir.path();
+    fs::write(
+        here.join("scopeservo-data/targets/old.json"),
+        "{\"schema\":1,",
+    )
+    .unwrap();
+    let listed = scopeservo(here, &["target", "list", "--json"]);
+    assert_eq!(code(&listed), 0, "{}", stderr(&listed));
+    let list = object(&listed);
+    assert_eq!(list["targets"][0]["name"], "spot", "{list}");
+    assert_eq!(list["targets"].as_array().unwrap().len(), 1);
+    assert_eq!(codes(&list["warnings"]), ["damaged"]);
+    // A calibration that is none is measured anew on the way.
+    let kept = here.join("scopeservo-data/calibrations/10x");
+    fs::write(kept.join("000002_2026.json"), "{}").unwrap();
+    let output = scopeservo(here, &["reposition", "spot", "--json"]);
+    assert_eq!(code(&output), 3, "{}", stderr(&output));
+    let answer = object(&output);
+    assert_eq!(answer["reason"], "target_not_in_view", "{answer}");
+    assert_eq!(codes(&answer["warnings"]), ["damaged"]);
+    let doctor = object(&scopeservo(here, &["doctor", "--json"]));
+    let findings = doctor["findings"].as_array().unwrap();
+    let finding = findings.iter().find(|f| f["name"] == "calibration of 10x");
+    assert_eq!(finding.unwrap()["ok"], false, "{doctor}");
+}
