@@ -180,7 +180,10 @@ pub(crate) enum TargetCommand {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   scopeservo target save mitosis-3
-  scopeservo target save mitosis-3 --objective 40x --focus")]
+  scopeservo target save mitosis-3 --objective 40x --focus
+  scopeservo target save mitosis-3 --still       nothing moves; the run must prove what belongs to the specimen
+
+The stage steps aside by some pixels and comes back: what does not move with it is on the camera and left out.")]
 pub(crate) struct TargetSaveArgs {
     /// A name: letters, digits, '-', '_' and '.'.
     pub(crate) name: String,
@@ -192,6 +195,9 @@ pub(crate) struct TargetSaveArgs {
     /// Focus first.
     #[arg(long)]
     pub(crate) focus: bool,
+    /// Move nothing, also no step aside that shows what is fixed to the camera.
+    #[arg(long, conflicts_with_all = ["focus", "objective"])]
+    pub(crate) still: bool,
     /// Print one JSON object on stdout instead of the summary.
     #[arg(long)]
     pub(crate) json: bool,
@@ -390,7 +396,11 @@ pub(crate) struct DemoArgs {
   scopeservo register view.png target.png
   scopeservo register scanner_a.tif scanner_b.tif --level 2 --json
   scopeservo register scan.tif target.png --features 8000
-  scopeservo register view.png target.png --time 50 --threads 1")]
+  scopeservo register view.png target.png --time 50 --threads 1
+  scopeservo register before.png after.png --same-place      both show one place, and most of it is blank
+  scopeservo register photo.png target.png --mirror
+
+Verdicts: found (exit 0); not found, ambiguous (two places say as much), suspect (what agrees may be fixed to the camera) (exit 3).")]
 pub(crate) struct RegisterArgs {
     /// The image to find the transform from.
     pub(crate) view: PathBuf,
@@ -406,6 +416,12 @@ pub(crate) struct RegisterArgs {
     /// are decoded and the target's features made once, before.
     #[arg(long, value_name = "N")]
     pub(crate) time: Option<usize>,
+    /// Both show the same place: believe what stays where it is in the picture, though dust on the camera does that too.
+    #[arg(long)]
+    pub(crate) same_place: bool,
+    /// Accept a view that is a mirror image.
+    #[arg(long)]
+    pub(crate) mirror: bool,
     /// Threads, 1 to 256; all cores by default. The answer does not depend on it.
     #[arg(long, value_name = "T")]
     pub(crate) threads: Option<usize>,

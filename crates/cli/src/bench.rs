@@ -6,8 +6,11 @@ use crate::desk::rein_in;
 use crate::error::CliError;
 use crate::progress::Watcher;
 use crate::scene::{self, Scene};
-use scopeservo_scope::{CancelToken, Clock, Instrument, MotionGate, VirtualClock};
-use scopeservo_servo::{Focus, FocusOptions, NoSink, ServoError, Target, VisionOptions};
+use scopeservo_scope::{CancelToken, Clock, Frame, Instrument, MotionGate, VirtualClock};
+use scopeservo_servo::{
+    Event, Focus, FocusOptions, FrameRole, NoSink, Reason, SaveOptions, SaveTarget, ServoError,
+    Sink, Stamped, Target, VisionOptions,
+};
 use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
 use scopeservo_twin::{Config, Truth, Twin};
 use std::sync::Arc;
@@ -77,12 +80,49 @@ pub(crate) fn save_target(
         Err(error @ ServoError::NoFocus { .. }) => return Ok(Err(error)),
         Err(error) => return Err(error.into()),
     }
-    let target = Target::save(scope, vision, watcher)?;
-    let truth = watcher
-        .last_frame()
+    let mut save = SaveTarget::new(SaveOptions {
+        vision: vision.clone(),
+        ..SaveOptions::default()
+    });
+    let mut sink = OnlyTheTarget {
+        watcher,
+        sequence: None,
+    };
+    let saved = scopeservo_servo::run(&mut save, scope, &mut sink);
+    let sequence = sink.sequence;
+    let target = match saved {
+        Ok(target) => target,
+        Err(error) if Reason::of(&error).is_some() => return Ok(Err(error)),
+        Err(error) => return Err(error.into()),
+    };
+    let truth = sequence
         .and_then(|sequence| bench.twin.truth(sequence))
         .ok_or_else(|| CliError::Internal("the simulation forgot the target's pose".into()))?;
     Ok(Ok((target, truth)))
+}
+
+/// Of the saving, the report shows the target: the step aside is not part of the run that it tells of.
+struct OnlyTheTarget<'a> {
+    watcher: &'a mut Watcher,
+    sequence: Option<u64>,
+}
+
+impl Sink for OnlyTheTarget<'_> {
+    fn event(&mut self, stamped: Stamped) {
+        if let Event::FrameGrabbed {
+            role: FrameRole::Target,
+            ..
+        } = stamped.event
+        {
+            self.watcher.event(stamped);
+        }
+    }
+    fn frame(&mut self, frame: &Frame, role: FrameRole) {
+        if role == FrameRole::Target {
+            self.sequence = Some(frame.sequence);
+            self.watcher.frame(frame, role);
+        }
+    }
 }
 
 /// Puts the slide back so that the view's centre lies at `target + start_um`, the slide turned about the target.

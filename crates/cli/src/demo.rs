@@ -170,10 +170,11 @@ fn demo(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
 fn nothing_to_save(error: &ServoError, scope: &Instrument, watcher: &mut Watcher) -> Outcome {
     let outcome = Outcome {
         verdict: Verdict::Refused,
-        reason: Reason::NoFocus,
+        reason: Reason::of(error).unwrap_or(Reason::NoFocus),
         message: format!("there was nothing to save as a target: {error}"),
         estimated_error_um: None,
         estimated_error_deg: None,
+        unique_within_um: None,
         magnifications: Vec::new(),
     };
     watcher.event(Stamped {

@@ -81,6 +81,9 @@ pub(crate) enum Code {
     NoFocus,
     CalibrationFailed,
     WrongObjective,
+    PoorTarget,
+    NothingMoves,
+    Ambiguous,
     NotKept,
     Interrupted,
     Fault,
@@ -99,7 +102,13 @@ impl Code {
             | Self::CannotWrite
             | Self::CannotRead
             | Self::Damaged => 2,
-            Self::Refused | Self::NoFocus | Self::CalibrationFailed | Self::WrongObjective => 3,
+            Self::Refused
+            | Self::NoFocus
+            | Self::CalibrationFailed
+            | Self::WrongObjective
+            | Self::PoorTarget
+            | Self::NothingMoves
+            | Self::Ambiguous => 3,
             Self::NotKept | Self::Interrupted | Self::Fault | Self::Internal => 1,
         }
     }
@@ -154,6 +163,9 @@ fn servo_code(error: &ServoError) -> Code {
         | ServoError::PictureStays { .. }
         | ServoError::StageTooCoarse { .. }
         | ServoError::WrongObjective { .. } => Code::WrongObjective,
+        ServoError::PoorTarget { .. } => Code::PoorTarget,
+        ServoError::NothingMoves { .. } => Code::NothingMoves,
+        ServoError::Repeats { .. } => Code::Ambiguous,
         _ => Code::Internal,
     }
 }

@@ -110,6 +110,11 @@ pub(crate) struct RegisterJson {
     pub(crate) reason: String,
     pub(crate) message: String,
     pub(crate) target_from_view: Option<Affine2>,
+    /// Where it is as well: of two that say as much.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) other_target_from_view: Option<Affine2>,
+    /// Whether the view is a mirror image.
+    pub(crate) mirrored: bool,
     pub(crate) inliers: usize,
     pub(crate) sigma_px: Option<f64>,
     pub(crate) scale: Option<f64>,

@@ -6,7 +6,9 @@ use crate::error::CliError;
 use crate::output::RegisterJson;
 use crate::threads::with_threads;
 use scopeservo_geometry::{Affine2, Mat2};
-use scopeservo_registration::{NotFound, Options, Prior};
+use scopeservo_registration::{
+    Allow, Estimate, NotFound, Options, PictureVerdict, Prior, Rival, register_pictures,
+};
 use scopeservo_servo::Engine;
 use scopeservo_sift::{Features, GrayImage, Sift};
 use scopeservo_slide::Slide;
@@ -45,23 +47,31 @@ fn look(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError> {
         max_features: args.features,
         ..Default::default()
     })?;
-    let target = sift.detect_and_describe(&target);
+    let target_features = sift.detect_and_describe(&target);
     let mut features = Features::default();
-    let mut register = || {
-        sift.detect_and_describe_into(&view, &mut features);
-        let (prior, options) = (Prior::default(), Options::default());
-        let seen = scopeservo_registration::register(&features, &target, &prior, &options);
-        (features.len(), seen)
-    };
-    // Once for the answer, which also warms the caches; the repetitions give the same.
-    let (view_features, seen) = register();
+    let (prior, options) = (Prior::default(), Options::default());
+    // First the times, which warm the caches for nobody else.
     let ms = args.time.map(|repetitions| {
         median((0..repetitions).map(|_| {
             let start = Instant::now();
-            register();
+            sift.detect_and_describe_into(&view, &mut features);
+            scopeservo_registration::register(&features, &target_features, &prior, &options);
             start.elapsed().as_secs_f64() * 1e3
         }))
     });
+    sift.detect_and_describe_into(&view, &mut features);
+    let allow = Allow {
+        same_place: args.same_place,
+        mirror: args.mirror,
+    };
+    let (seen, verdict) = register_pictures(
+        &mut sift,
+        (&view, &features),
+        (&target, &target_features),
+        &prior,
+        &options,
+        allow,
+    )?;
 
     let engine = Engine::current();
     let mut json = RegisterJson {
@@ -69,12 +79,14 @@ fn look(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError> {
         reason: String::new(),
         message: String::new(),
         target_from_view: None,
+        other_target_from_view: None,
+        mirrored: false,
         inliers: seen.inliers,
         sigma_px: None,
         scale: None,
         rotation_deg: None,
         matches: seen.matches,
-        keypoints: [view_features, target.len()],
+        keypoints: [features.len(), target_features.len()],
         log10_false_alarms: seen.log10_nfa,
         reduced: [view_factor, target_factor],
         level: args.level,
@@ -82,41 +94,123 @@ fn look(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError> {
         engine: engine.name,
         cpu_level: engine.cpu_level,
     };
-    match &seen.outcome {
-        Ok(estimate) => {
-            let transform = reduced_from_full(target_factor)
-                .inverse()
-                .ok_or_else(|| CliError::Internal("a reduction has no inverse".into()))?
-                .after(&estimate.target_from_view)
-                .after(&reduced_from_full(view_factor));
-            let scale = transform.linear.det().abs().sqrt();
-            let angle = transform
-                .linear
-                .rotation_angle()
-                .unwrap_or(0.0)
-                .to_degrees();
-            let sigma = estimate.sigma_px * target_factor as f64;
+    let full = Full {
+        view_factor,
+        target_factor,
+    };
+    tell(&mut json, &verdict, seen.inliers, &full)?;
+    let found = json.verdict == "found";
+    answer.put(json!(json));
+    show(answer, &json);
+    Ok(found)
+}
+
+/// From the pictures as they were looked at to the pictures as they are.
+struct Full {
+    view_factor: usize,
+    target_factor: usize,
+}
+
+impl Full {
+    fn transform(&self, reduced: &Affine2) -> Result<Affine2, CliError> {
+        Ok(reduced_from_full(self.target_factor)
+            .inverse()
+            .ok_or_else(|| CliError::Internal("a reduction has no inverse".into()))?
+            .after(reduced)
+            .after(&reduced_from_full(self.view_factor)))
+    }
+}
+
+/// Scale, and rotation in degrees: of a mirror image that of the view turned over from left to right.
+fn pose(transform: &Affine2) -> (f64, f64) {
+    let linear = transform.linear;
+    let upright = match linear.det() < 0.0 {
+        true => linear * Mat2::diagonal(-1.0, 1.0),
+        false => linear,
+    };
+    let angle = upright.rotation_angle().unwrap_or(0.0);
+    (linear.det().abs().sqrt(), angle.to_degrees())
+}
+
+/// Puts the verdict into the answer.
+fn tell(
+    json: &mut RegisterJson,
+    verdict: &PictureVerdict,
+    inliers: usize,
+    full: &Full,
+) -> Result<(), CliError> {
+    let mut see = |estimate: &Estimate| -> Result<(Affine2, String), CliError> {
+        let transform = full.transform(&estimate.target_from_view)?;
+        let (scale, angle) = pose(&transform);
+        let sigma = estimate.sigma_px * full.target_factor as f64;
+        json.target_from_view = Some(transform);
+        json.sigma_px = Some(sigma);
+        json.scale = Some(scale);
+        json.rotation_deg = Some(angle);
+        let words = format!(
+            "{inliers} places agree: scale {scale:.5}, rotation {angle:.3} deg, the view's centre known to {sigma:.3} px"
+        );
+        Ok((transform, words))
+    };
+    match verdict {
+        PictureVerdict::Found { estimate, mirrored } => {
+            let (_, words) = see(estimate)?;
             json.verdict = "found";
             json.reason = "agreement".into();
-            json.message = format!(
-                "{} places agree: scale {scale:.5}, rotation {angle:.3} deg, the view's centre known to {sigma:.3} px",
-                seen.inliers
-            );
-            json.target_from_view = Some(transform);
-            json.sigma_px = Some(sigma);
-            json.scale = Some(scale);
-            json.rotation_deg = Some(angle);
+            json.mirrored = *mirrored;
+            json.message = match mirrored {
+                true => format!("as a mirror image, {words}"),
+                false => words,
+            };
         }
-        Err(reason) => {
+        PictureVerdict::Suspect { estimate, share } => {
+            see(estimate)?;
+            json.verdict = "suspect";
+            json.reason = "suspect".into();
+            json.message = format!(
+                "{inliers} places agree where they are in the picture, and only {:.0} % of the picture is alike: dust on the camera, a reticle \
+                 or burnt-in text do that. If both show the same place, say so with --same-place",
+                100.0 * share
+            );
+        }
+        PictureVerdict::Ambiguous { estimate, rival } => {
+            let (here, _) = see(estimate)?;
+            let there = full.transform(&rival.target_from_view)?;
+            json.verdict = "ambiguous";
+            json.reason = "ambiguous".into();
+            json.other_target_from_view = Some(there);
+            json.message = two_places(rival, &here, &there);
+        }
+        PictureVerdict::Mirrored { estimate } => {
+            let (scale, angle) = pose(&full.transform(&estimate.target_from_view)?);
+            json.reason = "mirrored".into();
+            json.mirrored = true;
+            json.message = format!(
+                "the view is there as a mirror image only: {inliers} places agree, scale {scale:.5}, rotation {angle:.3} deg. Turn it over, or \
+                 accept it with --mirror"
+            );
+        }
+        PictureVerdict::NotFound(reason) => {
             json.reason = code(reason).into();
             json.message =
                 format!("{reason}. If both show the same place, give sharper or larger images");
         }
     }
-    let found = json.verdict == "found";
-    answer.put(json!(json));
-    show(answer, &json);
-    Ok(found)
+    Ok(())
+}
+
+/// Where the view's corner lies in the target, twice, and how far that is.
+fn two_places(rival: &Rival, here: &Affine2, there: &Affine2) -> String {
+    let at = |t: &Affine2| format!("{:.0}, {:.0} px", t.offset[0], t.offset[1]);
+    let turned = match rival.turn_rad.to_degrees() {
+        deg if deg.abs() >= 0.5 => format!(", turned by {deg:.0} deg"),
+        _ => String::new(),
+    };
+    format!(
+        "the view's first pixel may lie at {} or at {}{turned}, and nothing tells which: give pictures with something that is there only once",
+        at(here),
+        at(there)
+    )
 }
 
 fn show(answer: &Answer, json: &RegisterJson) {
@@ -128,14 +222,14 @@ fn show(answer: &Answer, json: &RegisterJson) {
             );
         }
     }
-    let verdict = if json.verdict == "found" {
-        "found"
-    } else {
-        "not found"
-    };
+    let verdict = json.verdict.replace('_', " ");
     say!(answer, "{verdict}: {}", json.message);
-    if let Some(t) = json.target_from_view {
-        for row in <[[f64; 3]; 2]>::from(t) {
+    for t in json
+        .target_from_view
+        .iter()
+        .chain(&json.other_target_from_view)
+    {
+        for row in <[[f64; 3]; 2]>::from(*t) {
             say!(
                 answer,
                 "  [{:12.7} {:12.7} {:12.3}]",

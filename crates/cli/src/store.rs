@@ -357,6 +357,8 @@ mod tests {
                 height: 3,
                 ..Default::default()
             },
+            picture: None,
+            moved: None,
         };
         let frame = Frame {
             width: 4,

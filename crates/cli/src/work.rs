@@ -246,39 +246,49 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
         let focus = args.focus.then(FocusOptions::default);
         bring(&desk, &objective, focus, &mut sink)?;
         let stage = desk.scope.gate().position()?;
-        let mut save = SaveTarget::new(SaveOptions::default());
+        // A pixel's size as it was measured, else as it is engraved.
+        let known = desk.store.calibration(&objective).ok().flatten();
+        let mut save = SaveTarget::new(SaveOptions {
+            still: args.still,
+            um_per_px: known.map(|kept| kept.calibration.um_per_px()),
+            ..SaveOptions::default()
+        });
         let target = scopeservo_servo::run(&mut save, &desk.scope, &mut sink)?;
         Ok((target, stage))
     })();
     let frame = sink.frame.take();
     watcher.finish();
     let (target, stage) = saved?;
-    let features = target.features.len();
-    if features < MIN_FEATURES {
-        return Err(CliError::Usage(format!(
-            "this view has {features} features and could not be recognised: {MIN_FEATURES} are needed. Focus, or choose a place with \
-             more tissue; nothing was saved"
-        )));
-    }
+    let (features, moved) = (target.features.len(), target.moved);
     let frame = frame.ok_or_else(|| CliError::Internal("the target has no picture".into()))?;
     let name = &args.name;
-    answer.put(json!({"name": name, "objective": objective.id, "features": features}));
+    answer.put(json!({
+        "name": name,
+        "objective": objective.id,
+        "features": features,
+        "moved_features": moved,
+    }));
     let file = desk
         .store
         .keep_target(name, &desk.config.name, stage, target, &frame)?;
     answer.put(json!({"file": file.to_string_lossy()}));
-    say!(
-        answer,
-        "saved '{name}' at {}: {features} features",
-        objective.id
-    );
+    match moved {
+        Some(moved) => say!(
+            answer,
+            "saved '{name}' at {}: {features} features, {moved} of them seen to move with the stage",
+            objective.id
+        ),
+        None => say!(
+            answer,
+            "saved '{name}' at {}: {features} features. Nothing was moved, so nobody knows which of them are on the camera: the run must \
+             prove it, by a step aside where its own moves do not",
+            objective.id
+        ),
+    }
     say!(answer, "  {} and its picture beside it", file.display());
     say!(answer, "  come back with: scopeservo reposition {name}");
     Ok(true)
 }
-
-/// Fewer, and a run would refuse the target.
-const MIN_FEATURES: usize = 30;
 
 pub(crate) fn list_targets(args: &TargetListArgs, answer: &Answer) -> Result<bool, CliError> {
     let store = store_of(&args.description)?;
@@ -363,6 +373,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
         "target": args.name,
         "estimated_error_um": outcome.estimated_error_um,
         "estimated_error_deg": outcome.estimated_error_deg,
+        "unique_within_um": outcome.unique_within_um,
         "moves": counters.moves - before.moves,
         "frames": counters.frames - before.frames,
         "objective_changes": counters.objective_changes - before.objective_changes,
@@ -421,7 +432,13 @@ fn show_outcome(answer: &Answer, outcome: &Outcome) {
                 "  {:>4}  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {deg:8.4} deg",
                 m.objective
             ),
-            _ => say!(answer, "  {:>4}  the target was not seen", m.objective),
+            _ => say!(answer, "  {:>4}  {}", m.objective, m.end.replace('_', " ")),
         }
+    }
+    if let (Verdict::Arrived, Some([w, h])) = (outcome.verdict, outcome.unique_within_um) {
+        say!(
+            answer,
+            "  unique only within {w:.0} x {h:.0} um: what looks the same farther away was not in view"
+        );
     }
 }

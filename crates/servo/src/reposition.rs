@@ -101,6 +101,9 @@ pub struct Outcome {
     pub estimated_error_um: Option<f64>,
     /// Last measured angle, degrees.
     pub estimated_error_deg: Option<f64>,
+    /// Width and height of the widest view, um on the specimen: what looks the same farther away could not be seen.
+    #[serde(default)]
+    pub unique_within_um: Option<[f64; 2]>,
     /// Every magnification that was servoed, in order.
     pub magnifications: Vec<MagnificationResult>,
 }
@@ -417,14 +420,31 @@ impl Reposition {
             message,
             estimated_error_um: last.map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
             estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
+            unique_within_um: self.done.first().map(|widest| {
+                let size = widest.calibration.image_size_px;
+                size.map(|px| px as f64 * widest.calibration.um_per_px())
+            }),
             magnifications: self.done.clone(),
         }
     }
 
     /// Turns what the method or the limits refuse into an answer; faults and interruptions stay errors.
     fn answer(&self, error: ServoError) -> Result<Outcome, ServoError> {
-        let reason = match &error {
+        match Reason::of(&error) {
+            Some(reason) => Ok(self.outcome(Verdict::Refused, reason, error.to_string())),
+            None => Err(error),
+        }
+    }
+}
+
+impl Reason {
+    /// The reason why a run that ends with this error is refused; `None` for a fault or an interruption.
+    pub fn of(error: &ServoError) -> Option<Self> {
+        Some(match error {
             ServoError::NoFocus { .. } => Reason::NoFocus,
+            ServoError::PoorTarget { .. } => Reason::BlankTarget,
+            ServoError::NothingMoves { .. } => Reason::NothingMoves,
+            ServoError::Repeats { .. } => Reason::Ambiguous,
             ServoError::WrongObjective { .. }
             | ServoError::ObjectiveUnclear { .. }
             | ServoError::PictureStays { .. }
@@ -439,9 +459,8 @@ impl Reposition {
                 | ScopeError::StepTooLarge { .. }
                 | ScopeError::NotRetracted { .. },
             ) => Reason::OutsideLimits,
-            _ => return Err(error),
-        };
-        Ok(self.outcome(Verdict::Refused, reason, error.to_string()))
+            _ => return None,
+        })
     }
 }
 

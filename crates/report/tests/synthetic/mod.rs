@@ -394,6 +394,7 @@ impl Teller {
                 .as_ref()
                 .map(|r| r.error.distance_um().hypot(r.sigma_um)),
             estimated_error_deg: last.as_ref().map(|r| r.error.angle_deg().abs()),
+            unique_within_um: None,
             magnifications: self.results.clone(),
         };
         self.tell(0.05, Event::Finished { outcome });
