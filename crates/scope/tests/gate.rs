@@ -142,6 +142,7 @@ impl Devices {
             min: -TRAVEL,
             max: TRAVEL,
             repeatability: 0.0,
+            arrival_tolerance: None,
         };
         let objective = |id: &&str| Objective {
             id: ObjectiveId((*id).into()),
