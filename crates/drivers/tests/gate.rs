@@ -129,6 +129,7 @@ fn gcode_passes_the_conformance_suite() {
         max_um: 20_000.0,
         steps_per_mm: 400.0,
         repeatability_um: 2.5,
+        arrival_tolerance_um: None,
     };
     let mut settings: GcodeSettings = serde_json::from_value(serde_json::json!({
         "kinematics": "specimen_xy_on_top",
@@ -252,6 +253,7 @@ impl Emulated for Board {
             max_um: 20_000.0,
             steps_per_mm: STEPS_PER_MM,
             repeatability_um: STEP_UM,
+            arrival_tolerance_um: None,
         };
         let settings = GcodeSettings {
             kinematics: Some(Kinematics::SpecimenXyOnTop),
@@ -309,6 +311,7 @@ impl Emulated for Sanga {
                 min_um: -5000.0,
                 max_um: 5000.0,
                 repeatability_um: STEP_UM,
+                arrival_tolerance_um: None,
             })
         };
         let settings = SangaSettings {

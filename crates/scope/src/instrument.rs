@@ -65,6 +65,8 @@ pub struct Instrument {
     objective_changes: AtomicU64,
     /// A frame that nobody waits for any more.
     given_up: Mutex<Option<std::thread::JoinHandle<()>>>,
+    /// Let go last, after the devices.
+    kept: Vec<Box<dyn std::any::Any + Send + Sync>>,
 }
 
 /// A driver that hangs over a frame is given so long to be noticed as such, and ended, before the instrument is gone.
@@ -105,7 +107,15 @@ impl Instrument {
             frames: AtomicU64::new(0),
             objective_changes: AtomicU64::new(0),
             given_up: Mutex::new(None),
+            kept: Vec::new(),
         }
+    }
+
+    /// Keeps something for as long as the instrument is there, and lets it go after the devices: that nobody else may drive them.
+    #[must_use]
+    pub fn keeping(mut self, what: impl std::any::Any + Send + Sync) -> Self {
+        self.kept.push(Box::new(what));
+        self
     }
 
     /// Stage and nosepiece, behind their rules.

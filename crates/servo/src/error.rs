@@ -120,6 +120,16 @@ pub enum ServoError {
         /// What was measured.
         um_per_px: f64,
     },
+    /// Something failed, and the stage could not be taken back from the specimen to where the command began.
+    #[error(
+        "{error}. And the stage may stand nearer to the specimen than it did before, as it could not be taken back: {why}"
+    )]
+    StaysNear {
+        /// What failed.
+        error: Box<ServoError>,
+        /// Why the stage stays.
+        why: ScopeError,
+    },
     /// A setting that makes no sense.
     #[error("{0}")]
     BadOption(String),

@@ -3,7 +3,7 @@
 
 use crate::event::tell;
 use crate::kinematics::PlanarPose;
-use crate::procedure::{Procedure, Progress};
+use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::{centre_px, features, grab, same_objective};
 use crate::{Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
@@ -137,10 +137,8 @@ fn place(home: &PlanarPose, along: Vec2, step_m: f64, k: f64) -> PlanarPose {
     }
 }
 
-impl Procedure for Identify {
-    type Output = Identity;
-
-    fn step(
+impl Identify {
+    fn advance(
         &mut self,
         scope: &Instrument,
         sink: &mut dyn Sink,
@@ -226,5 +224,18 @@ impl Procedure for Identify {
         };
         tell(scope, sink, event);
         Ok(Progress::Done(identity))
+    }
+}
+
+impl Procedure for Identify {
+    type Output = Identity;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Identity>, ServoError> {
+        let ended = self.advance(scope, sink);
+        withdrawn(scope, ended)
     }
 }

@@ -6,6 +6,7 @@
 mod by_hand;
 mod config;
 mod error;
+mod held;
 mod open;
 mod own;
 mod rules;
@@ -16,5 +17,6 @@ pub use config::{
     Config, DeviceName, DriverConfig, ObjectiveConfig, OwnConfig, TwinConfig, TwinStage,
 };
 pub use error::SetupError;
+pub use held::Held;
 pub use open::{Consent, Opened, open};
 pub use template::{SCHEMA, TEMPLATE, TWIN_TEMPLATE};
