@@ -4,6 +4,7 @@ use crate::args::DoctorArgs;
 use crate::desk::Desk;
 use crate::error::CliError;
 use crate::output::{self, SCHEMA};
+use crate::trial;
 use scopeservo_scope::conformance::{self, Check};
 use scopeservo_scope::{ChangeRule, Frame, Instrument, Motion, Samples, ScopeError};
 use scopeservo_servo::sharpness;
@@ -107,6 +108,12 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<bool, CliError> {
     camera(&desk.scope, &mut findings);
     kept(&desk, &mut findings);
     if args.allow_motion {
+        // The smallest steps first.
+        let (seen, goes_on) = trial::of_pictures(&desk.scope)?;
+        seen.into_iter().for_each(|finding| findings.add(finding));
+        if !goes_on {
+            return findings.conclude(&desk.config.name);
+        }
         for check in conformance::check_instrument(&desk.scope) {
             findings.add(check.into());
         }
@@ -126,7 +133,7 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<bool, CliError> {
 /// Whether there is no driver: of what exits with bad input, the one thing that is a finding.
 fn is_driver(error: &CliError) -> bool {
     use scopeservo_setup::SetupError;
-    matches!(error, CliError::Setup(e) if matches!(e.root(), SetupError::Driver(_)))
+    matches!(error, CliError::Setup(e) if matches!(e.root(), SetupError::Driver(_) | SetupError::InUse { .. }))
 }
 
 fn stage(scope: &Instrument, findings: &mut Findings) {

@@ -4,12 +4,13 @@ use crate::args::DriverCheckArgs;
 use crate::desk::rein_in;
 use crate::doctor::{Finding, Findings};
 use crate::error::CliError;
+use crate::trial;
 use scopeservo_protocol::{Devices, Driver, Light, Secret};
 use scopeservo_scope::{
     Absent, CancelToken, ChangeRule, Clock, Instrument, MotionGate, Rules, ScopeError, SystemClock,
     conformance,
 };
-use scopeservo_setup::SetupError;
+use scopeservo_setup::{Held, SetupError};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -21,6 +22,7 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
     let secret = args.secret_file.as_deref().map(read_secret).transpose()?;
     let cancel = CancelToken::new();
     let reins = rein_in(&cancel)?;
+    let _held = Held::driver(&args.command, args.tcp.as_deref())?;
     let driver = open(args, secret.as_ref())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let devices = driver.devices(&clock).map_err(SetupError::from)?;
@@ -36,6 +38,14 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
     let (scope, light) = instrument(devices, args.retract_z_um, &clock, &cancel)?;
     reins.hold(&scope);
 
+    if stage && camera {
+        // The smallest steps first.
+        let (seen, goes_on) = trial::of_pictures(&scope)?;
+        seen.into_iter().for_each(|finding| findings.add(finding));
+        if !goes_on {
+            return findings.conclude("driver check");
+        }
+    }
     let mut checks = Vec::new();
     if stage {
         checks.extend(conformance::check_stage(&scope));

@@ -32,13 +32,15 @@ mod output;
 mod progress;
 mod register;
 mod scene;
+mod stage;
 mod store;
 mod threads;
+mod trial;
 mod twin_serve;
 mod views;
 mod work;
 
-use args::{Cli, Command, DriverCommand, TargetCommand, TwinCommand};
+use args::{Cli, Command, DriverCommand, StageCommand, TargetCommand, TwinCommand};
 use clap::Parser;
 use error::CliError;
 use std::process::ExitCode;
@@ -57,6 +59,7 @@ fn main() -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Calibrate(args) => work::calibrate(&args),
         Command::Focus(args) => work::focus(&args),
+        Command::Stage(StageCommand::Go(args)) => stage::go(&args),
         Command::Target(TargetCommand::Save(args)) => work::save_target(&args),
         Command::Target(TargetCommand::List(args)) => work::list_targets(&args),
         Command::Reposition(args) => work::reposition(&args),

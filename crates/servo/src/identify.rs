@@ -12,7 +12,7 @@ use scopeservo_scope::{Axis, ErrorKind, Instrument, Objective, ObjectiveId, Scop
 use serde::{Deserialize, Serialize};
 
 /// The move, as a share of the smallest field that any objective of the instrument has: it stays in the field whichever is in.
-const SHARE: f64 = 0.2;
+pub(crate) const SHARE: f64 = 0.2;
 /// The move is at least this many times what the stage scatters, if that leaves half of the field of the objective that was told.
 const SCATTERS: f64 = 20.0;
 /// The move is halved at most so often when the views are not found.
@@ -119,7 +119,7 @@ impl Identify {
 }
 
 /// Directions in x and y, with the axis' scatter: half-width in metres.
-fn directions(scope: &Instrument) -> Vec<(Vec2, f64)> {
+pub(crate) fn directions(scope: &Instrument) -> Vec<(Vec2, f64)> {
     let axes = [(Axis::X, [1.0, 0.0]), (Axis::Y, [0.0, 1.0])];
     let there = axes
         .iter()
@@ -130,7 +130,7 @@ fn directions(scope: &Instrument) -> Vec<(Vec2, f64)> {
 }
 
 /// The place `k` steps away from `home`.
-fn place(home: &PlanarPose, along: Vec2, step_m: f64, k: f64) -> PlanarPose {
+pub(crate) fn place(home: &PlanarPose, along: Vec2, step_m: f64, k: f64) -> PlanarPose {
     PlanarPose {
         x_m: [0, 1].map(|i| home.x_m[i] + k * step_m * along[i]),
         ..*home

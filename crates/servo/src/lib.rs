@@ -19,6 +19,7 @@ mod kinematics;
 mod procedure;
 mod reposition;
 pub mod servo;
+mod trial;
 mod vision;
 
 pub use bring::Bring;
@@ -36,4 +37,5 @@ pub use reposition::{
     MagnificationResult, Outcome, Reason, Reposition, RepositionOptions, Verdict,
 };
 pub use servo::{Servo, ServoEnd, ServoOptions, ServoResult, ServoTask};
+pub use trial::{Drift, drift_seen, scale_seen};
 pub use vision::{Engine, Target, VisionOptions};

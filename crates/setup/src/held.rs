@@ -38,11 +38,9 @@ impl Held {
     /// # Errors
     /// [`SetupError::InUse`], [`SetupError::Held`].
     pub fn driver(program: &[String], tcp: Option<&str>) -> Result<Self, SetupError> {
-        let place = match tcp {
-            Some(address) => at_address(address),
-            None => program_at(program, Path::new("")),
-        };
-        Self::all([("the driver".to_owned(), place)])
+        let program = (!program.is_empty()).then(|| program_at(program, Path::new("")));
+        let place = tcp.map(at_address).or(program);
+        Self::all(place.map(|place| ("the driver".to_owned(), place)))
     }
 
     fn all(places: impl IntoIterator<Item = (String, String)>) -> Result<Self, SetupError> {
