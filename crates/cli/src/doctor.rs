@@ -109,8 +109,9 @@ pub(crate) fn run(args: &DoctorArgs) -> Result<bool, CliError> {
     kept(&desk, &mut findings);
     if args.allow_motion {
         // The smallest steps first.
-        let (seen, goes_on) = trial::of_pictures(&desk.scope)?;
+        let (seen, goes_on) = trial::of_pictures(&desk.scope);
         seen.into_iter().for_each(|finding| findings.add(finding));
+        desk.scope.check_cancel()?;
         if !goes_on {
             return findings.conclude(&desk.config.name);
         }

@@ -40,8 +40,9 @@ pub(crate) fn run(args: &DriverCheckArgs) -> Result<bool, CliError> {
 
     if stage && camera {
         // The smallest steps first.
-        let (seen, goes_on) = trial::of_pictures(&scope)?;
+        let (seen, goes_on) = trial::of_pictures(&scope);
         seen.into_iter().for_each(|finding| findings.add(finding));
+        scope.check_cancel()?;
         if !goes_on {
             return findings.conclude("driver check");
         }

@@ -3,6 +3,14 @@
 use crate::{Axis, Breach, ObjectiveId, StagePose};
 use thiserror::Error;
 
+/// A number that a device told, whatever it is.
+fn told(number: f64) -> String {
+    match number.abs() < 1e9 {
+        true => format!("{number:.1}"),
+        false => format!("{number:e}"),
+    }
+}
+
 /// Where the stage was seen to stand, as the end of a sentence; nothing for one that was not looked at.
 fn stands(at: &Option<StagePose>) -> String {
     match at {
@@ -173,8 +181,9 @@ pub enum ScopeError {
     },
     /// The stage says that it is where it said that it cannot be.
     #[error(
-        "{axis} says that it is at {at:.1} {unit}, and its own travel is {min:.1} to {max:.1} {unit}: check its unit and its reference, \
+        "{axis} says that it is at {} {unit}, and its own travel is {min:.1} to {max:.1} {unit}: check its unit and its reference, \
          or bring it back by its maker's means",
+        told(*at),
         unit = axis.display_unit()
     )]
     ImpossiblePlace {

@@ -231,13 +231,15 @@ impl Instrument {
     }
 
     /// What a command that failed leaves: the stage goes back to the height at which the command found it, where it stands nearer to
-    /// the specimen. Elsewhere it stays.
+    /// the specimen. Elsewhere it stays, and so it does once somebody has asked for a stop.
     ///
     /// # Errors
     /// As [`Instrument::move_to`], and [`ScopeError::StillMoves`].
     pub fn withdraw(&self) -> Result<(), ScopeError> {
         let began = self.began_mut().and_then(|at| at.z);
-        let Some(began) = began else { return Ok(()) };
+        let Some(began) = began.filter(|_| !self.cancel.is_cancelled()) else {
+            return Ok(());
+        };
         let here = self.stand_still()?.z.unwrap_or(began);
         match self.gate.positive_z().nearer_by(here.m(), began.m()) > 0.0 {
             true => self.return_to_height(began),

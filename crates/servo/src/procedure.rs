@@ -1,7 +1,7 @@
 //! Step machines: the common shape of everything that takes time.
 
 use crate::{ServoError, Sink};
-use scopeservo_scope::{ErrorKind, Instrument, ScopeError};
+use scopeservo_scope::{ErrorKind, Instrument};
 
 /// What a step achieved.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,15 +35,14 @@ pub(crate) fn withdrawn<T>(
     ended: Result<T, ServoError>,
 ) -> Result<T, ServoError> {
     let Err(error) = ended else { return ended };
-    let stopped = matches!(
-        &error,
-        ServoError::Scope(e) if e.kind() == ErrorKind::Interrupted || matches!(e, ScopeError::StillMoves { .. })
-    );
+    let stopped = matches!(&error, ServoError::Scope(e) if e.kind() == ErrorKind::Interrupted);
     match stopped || matches!(error, ServoError::StaysNear { .. }) {
         true => Err(error),
         false => match scope.withdraw() {
             Ok(()) => Err(error),
             Err(why) if why.kind() == ErrorKind::Interrupted => Err(why.into()),
+            // The same trouble as before is told once.
+            Err(why) if matches!(&error, ServoError::Scope(e) if *e == why) => Err(error),
             Err(why) => Err(ServoError::StaysNear {
                 error: Box::new(error),
                 why,
