@@ -272,6 +272,8 @@ impl Bench {
             axis.backlash = make.play_um;
         }
         let mut config = Config::realistic().with_stage(stage);
+        // Small pictures are enough to tell, and quick.
+        (config.camera.width, config.camera.height) = (320, 240);
         let mut kept = 0..config.optics.len();
         config
             .optics
