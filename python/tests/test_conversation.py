@@ -390,12 +390,15 @@ class Conversation(unittest.TestCase):
         def stage(**attributes: Any) -> TimedStage:
             return type("Wrong", (TimedStage,), attributes)()
 
-        x = translation("x", min_um=0, max_um=1, repeatability_um=1)
+        x = translation("x", min_um=0, max_um=100, repeatability_um=1)
         for devices in (
             {},
             {"stage": stage(axes=[])},
             {"stage": stage(axes=[x, x])},
-            {"stage": stage(axes=[translation("w", min_um=0, max_um=1, repeatability_um=1)])},
+            {"stage": stage(axes=[translation("w", min_um=0, max_um=100, repeatability_um=1)])},
+            {"stage": stage(axes=[translation("x", min_um=0, max_um=1, repeatability_um=1)])},
+            {"stage": stage(axes=[translation("x", min_um=0, max_um=1e4, repeatability_um=51)])},
+            {"stage": stage(axes=[translation("x", min_um=0, max_um=1e4, repeatability_um=1, arrival_tolerance_um=0)])},
             {"stage": stage(axes=[translation("x", min_um=1, max_um=1, repeatability_um=1)])},
             {"stage": stage(axes=[translation("x", min_um=0, max_um=float("inf"), repeatability_um=1)])},
             {"stage": stage(positive_z=None)},
