@@ -97,6 +97,14 @@ class Conversation(unittest.TestCase):
         )
         self.assertEqual(self.error(client.ask("hello", protocol=1)), "bad_request")
 
+    def test_a_stated_arrival_tolerance_is_told(self) -> None:
+        x = translation("x", min_um=0, max_um=100, repeatability_um=1, arrival_tolerance_um=3)
+        client = self.connect(stage=type("Stated", (TimedStage,), {"axes": [x]})())
+        axes = client.hello()["stage"]["axes"]
+        self.assertEqual(
+            axes, [{"axis": "x", "min_um": 0, "max_um": 100, "repeatability_um": 1, "arrival_tolerance_um": 3}]
+        )
+
     def test_hello_comes_first_and_speaks_the_version(self) -> None:
         client = self.connect(light=Lamp())
         self.assertEqual(self.error(client.ask("light")), "bad_request")

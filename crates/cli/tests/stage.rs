@@ -109,7 +109,10 @@ fn two_programs_never_drive_one_instrument() {
         (code(&second) != 0).then(|| (stderr(&second), code(&second)))
     });
     let first_id = first.id().to_string();
-    Command::new("kill").args(["-INT", &first_id]).status().unwrap();
+    Command::new("kill")
+        .args(["-INT", &first_id])
+        .status()
+        .unwrap();
     first.wait().unwrap();
     let (said, code) = refused.expect("the second was never refused");
     assert!(said.contains("driven by another program"), "{said}");

@@ -42,6 +42,8 @@ struct World {
     stopped: bool,
     objective: Option<usize>,
     turning: Option<(usize, u32)>,
+    /// The height at which the last turn began.
+    turned_at: Option<f64>,
     fault: Option<Fault>,
     /// An obstacle beyond which an axis does not go.
     wall: Option<(usize, [f64; 2])>,
@@ -101,6 +103,7 @@ impl World {
             stopped: false,
             objective: Some(0),
             turning: None,
+            turned_at: None,
             fault: None,
             wall: None,
             lifts: 0.0,
@@ -353,6 +356,7 @@ impl Nosepiece for Devices {
             world.broken.push("a change on top of a change".into());
         }
         world.judge(None);
+        world.turned_at = Some(world.at[2]);
         world.objective = None;
         world.turning = Some((index, 3));
         world.begun += 1;
@@ -782,6 +786,55 @@ fn after_a_change_it_comes_back_in_allowed_steps_and_short_of_an_unknown_focus()
         "{:?}",
         devices.world().broken
     );
+}
+
+#[test]
+fn a_cheap_focus_drive_retreats_farther_and_never_turns_short_of_the_height() {
+    const RULE: f64 = -100e-6;
+    let rules = |z: f64| Rules {
+        change: ChangeRule::Retracted { z, margin: 0.0 },
+        ..Rules::travel_only(ChangeRule::Anywhere)
+    };
+    let mut devices = Devices::new();
+    devices.info.axes[2].repeatability = 25e-6;
+    devices.world().at[2] = 0.0;
+    let scope = Instrument::new(
+        devices.gate(rules(RULE)),
+        Box::new(Absent::new()),
+        Arc::new(Ticking {
+            clock: VirtualClock::new(),
+            devices: devices.clone(),
+        }),
+        CancelToken::new(),
+    );
+    // Its scatter is wider than what is to be retracted: that is no reason to turn here.
+    let refused = scope.gate().start_change(&id("40x"));
+    assert!(
+        matches!(refused, Err(ScopeError::NotRetracted { .. })),
+        "{refused:?}"
+    );
+    devices.world().excused = true;
+    scope.select_objective(&id("40x")).unwrap();
+    let turned = devices.world().turned_at;
+    assert!((turned.unwrap() + 200e-6).abs() < 1e-9, "{turned:?}");
+    // A micrometre short counts, and no more, whatever z scatters.
+    for (at, turns) in [(RULE + 1.1e-6, false), (RULE + 0.9e-6, true)] {
+        devices.world().at[2] = at;
+        let answer = scope.gate().start_change(&id("10x"));
+        assert_eq!(answer.is_ok(), turns, "{at}: {answer:?}");
+    }
+    // No room beyond the height for that.
+    let room = MotionGate::new(
+        Box::new(devices.clone()),
+        Box::new(devices.clone()),
+        rules(-TRAVEL + 50e-6),
+    );
+    let said = room.err().unwrap().to_string();
+    assert!(said.contains("100.0 um beyond"), "{said}");
+    devices.info.axes[2].repeatability = 600e-6;
+    let said = MotionGate::new(Box::new(devices.clone()), Box::new(devices), rules(RULE));
+    let said = said.err().unwrap().to_string();
+    assert!(said.contains("repeatability of z is 600 um"), "{said}");
 }
 
 /// A clock that lets the world go on while somebody sleeps.
