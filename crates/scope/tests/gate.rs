@@ -141,7 +141,8 @@ impl World {
             let over = |v: f64| (CLAMP[0]..=CLAMP[1]).contains(&v);
             over(at[0]) && over(at[1]) && at[2] > CLAMP_Z + SLACK
         };
-        if from.iter().any(|v| !(v.abs() <= TRAVEL + SLACK)) {
+        let possible = from.iter().all(|v| v.abs() <= TRAVEL + SLACK);
+        if !possible {
             self.broken
                 .push(format!("something begins at {from:?}, where no stage is"));
         }
@@ -493,9 +494,9 @@ fn arrive(gate: &MotionGate, devices: &Devices) {
             let said = world.said();
             assert_eq!(at, pose(said));
             if let Some(asked) = world.asked {
-                let off =
-                    (0..3).any(|k| asked[k].is_some_and(|goal| !((said[k] - goal).abs() < SLACK)));
-                if off && !world.stopped {
+                let near = |k: usize| asked[k].is_none_or(|goal| (said[k] - goal).abs() < SLACK);
+                let there = (0..3).all(near);
+                if !there && !world.stopped {
                     world
                         .broken
                         .push(format!("sent to {asked:?}, arrived at {said:?}"));
