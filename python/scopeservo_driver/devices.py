@@ -34,16 +34,25 @@ class Axis:
     min: float
     max: float
     repeatability: float
+    arrival_tolerance: float | None = None
 
 
-def translation(axis: str, *, min_um: float, max_um: float, repeatability_um: float) -> Axis:
-    """An axis "x", "y" or "z"."""
-    return Axis(axis, min_um, max_um, repeatability_um)
+def translation(
+    axis: str, *, min_um: float, max_um: float, repeatability_um: float, arrival_tolerance_um: float | None = None
+) -> Axis:
+    """An axis "x", "y" or "z".
+
+    A move counts as arrived where the stage then says that it is within `arrival_tolerance_um` of the goal: four times
+    the repeatability, at least 1 um, when it is left out.
+    """
+    return Axis(axis, min_um, max_um, repeatability_um, arrival_tolerance_um)
 
 
-def rotation(axis: str, *, min_deg: float, max_deg: float, repeatability_deg: float) -> Axis:
-    """An axis "rx", "ry" or "rz"."""
-    return Axis(axis, min_deg, max_deg, repeatability_deg)
+def rotation(
+    axis: str, *, min_deg: float, max_deg: float, repeatability_deg: float, arrival_tolerance_deg: float | None = None
+) -> Axis:
+    """An axis "rx", "ry" or "rz". `arrival_tolerance_deg` as in `translation`; at least 0.005 deg when it is left out."""
+    return Axis(axis, min_deg, max_deg, repeatability_deg, arrival_tolerance_deg)
 
 
 @dataclass(frozen=True)

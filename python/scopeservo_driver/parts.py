@@ -15,6 +15,8 @@ from .messages import Request
 
 MOTIONS = ("moving", "settled", "stopped")
 MOVES = ("microscope", "specimen_rotation_on_top", "specimen_xy_on_top")
+# Arrivals that scatter by more, or by a tenth of the travel, are no stage's of a microscope, but a unit's that is wrong.
+WORST_REPEATABILITY = {"um": 50.0, "deg": 1.0}
 
 
 @dataclass
@@ -67,7 +69,16 @@ class StagePart:
             numbers = (axis.min, axis.max, axis.repeatability)
             _declared(all(math.isfinite(n) for n in numbers), f"the numbers of axis {axis.axis} must be finite")
             _declared(axis.min < axis.max, f"min of axis {axis.axis} must be below its max")
-            _declared(axis.repeatability >= 0, f"the repeatability of axis {axis.axis} must not be negative")
+            most = min(WORST_REPEATABILITY[UNIT_OF_AXIS[axis.axis]], (axis.max - axis.min) / 10)
+            _declared(
+                0 <= axis.repeatability <= most,
+                f"the repeatability of axis {axis.axis} is {axis.repeatability} {UNIT_OF_AXIS[axis.axis]}; it must not be negative, "
+                f"and {most} is the most that is believed: look at its unit",
+            )
+            _declared(
+                axis.arrival_tolerance is None or 0 < axis.arrival_tolerance <= 4 * most,
+                f"the arrival tolerance of axis {axis.axis} must be above 0 and at most {4 * most}: look at its unit",
+            )
         _declared(self.moves in MOVES, f"moves of a stage must be one of {', '.join(MOVES)}")
         _declared(self.positive_z in (None, "closer", "apart"), 'positive_z must be "closer" or "apart"')
         _declared("z" not in self.axes or self.positive_z is not None, "a stage with a z axis needs positive_z")
@@ -83,6 +94,8 @@ class StagePart:
         for axis in self.axes.values():
             unit = UNIT_OF_AXIS[axis.axis]
             numbers = {"min": axis.min, "max": axis.max, "repeatability": axis.repeatability}
+            if axis.arrival_tolerance is not None:
+                numbers["arrival_tolerance"] = axis.arrival_tolerance
             axes.append({"axis": axis.axis} | {f"{name}_{unit}": float(value) for name, value in numbers.items()})
         said: dict[str, Any] = {"name": self.name, "moves": self.moves, "axes": axes}
         if self.positive_z is not None:

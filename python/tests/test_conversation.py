@@ -97,6 +97,14 @@ class Conversation(unittest.TestCase):
         )
         self.assertEqual(self.error(client.ask("hello", protocol=1)), "bad_request")
 
+    def test_a_stated_arrival_tolerance_is_told(self) -> None:
+        x = translation("x", min_um=0, max_um=100, repeatability_um=1, arrival_tolerance_um=3)
+        client = self.connect(stage=type("Stated", (TimedStage,), {"axes": [x]})())
+        axes = client.hello()["stage"]["axes"]
+        self.assertEqual(
+            axes, [{"axis": "x", "min_um": 0, "max_um": 100, "repeatability_um": 1, "arrival_tolerance_um": 3}]
+        )
+
     def test_hello_comes_first_and_speaks_the_version(self) -> None:
         client = self.connect(light=Lamp())
         self.assertEqual(self.error(client.ask("light")), "bad_request")
@@ -390,12 +398,15 @@ class Conversation(unittest.TestCase):
         def stage(**attributes: Any) -> TimedStage:
             return type("Wrong", (TimedStage,), attributes)()
 
-        x = translation("x", min_um=0, max_um=1, repeatability_um=1)
+        x = translation("x", min_um=0, max_um=100, repeatability_um=1)
         for devices in (
             {},
             {"stage": stage(axes=[])},
             {"stage": stage(axes=[x, x])},
-            {"stage": stage(axes=[translation("w", min_um=0, max_um=1, repeatability_um=1)])},
+            {"stage": stage(axes=[translation("w", min_um=0, max_um=100, repeatability_um=1)])},
+            {"stage": stage(axes=[translation("x", min_um=0, max_um=1, repeatability_um=1)])},
+            {"stage": stage(axes=[translation("x", min_um=0, max_um=1e4, repeatability_um=51)])},
+            {"stage": stage(axes=[translation("x", min_um=0, max_um=1e4, repeatability_um=1, arrival_tolerance_um=0)])},
             {"stage": stage(axes=[translation("x", min_um=1, max_um=1, repeatability_um=1)])},
             {"stage": stage(axes=[translation("x", min_um=0, max_um=float("inf"), repeatability_um=1)])},
             {"stage": stage(positive_z=None)},

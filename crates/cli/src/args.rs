@@ -32,6 +32,9 @@ pub(crate) enum Command {
     Calibrate(CalibrateArgs),
     /// Focus with the objective in the beam.
     Focus(FocusArgs),
+    /// The stage, through the rules of your file.
+    #[command(subcommand)]
+    Stage(StageCommand),
     /// Saved views.
     #[command(subcommand)]
     Target(TargetCommand),
@@ -54,6 +57,7 @@ impl Command {
             Self::Doctor(args) => args.json,
             Self::Calibrate(args) => args.json,
             Self::Focus(args) => args.json,
+            Self::Stage(StageCommand::Go(args)) => args.json,
             Self::Target(TargetCommand::Save(args)) => args.json,
             Self::Target(TargetCommand::List(args)) => args.json,
             Self::Reposition(args) => args.json,
@@ -158,15 +162,64 @@ pub(crate) struct FocusArgs {
     /// Bring this objective into the beam first.
     #[arg(long, value_name = "ID")]
     pub(crate) objective: Option<String>,
-    /// How far above and below the present height to look.
-    #[arg(long, value_name = "UM", default_value_t = 40.0)]
-    pub(crate) range_um: f64,
+    /// How far above and below the present height to look: 40 um, and up to 120 um where the best view lies at an end. A range that is
+    /// given is never passed towards the specimen.
+    #[arg(long, value_name = "UM")]
+    pub(crate) range_um: Option<f64>,
     /// Go to this height first, and focus around it: for a stage that was left retracted.
     #[arg(long, value_name = "UM", allow_negative_numbers = true)]
     pub(crate) near_z_um: Option<f64>,
     /// Print one JSON object on stdout instead of the summary.
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum StageCommand {
+    /// Go to a place, within the rules. A stage that stands outside its limits is brought back by this, towards the inside only.
+    Go(StageGoArgs),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo stage go --x-um 300 --y-um -150
+  scopeservo stage go --z-um -2000        straight away from the specimen: allowed from anywhere
+  scopeservo stage go --rz-deg 0 --json
+
+Goals are places of the stage, not distances. An axis that is not named stays where it is. What a rule does not allow is refused
+whole, and nothing moves. Ctrl-C stops.")]
+pub(crate) struct StageGoArgs {
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    #[command(flatten)]
+    pub(crate) to: PlaceArgs,
+    /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// Goals of axes, one at least.
+#[derive(Debug, Args)]
+#[group(required = true, multiple = true)]
+pub(crate) struct PlaceArgs {
+    /// Along x.
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    pub(crate) x_um: Option<f64>,
+    /// Along y.
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    pub(crate) y_um: Option<f64>,
+    /// Focus.
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    pub(crate) z_um: Option<f64>,
+    /// About x.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    pub(crate) rx_deg: Option<f64>,
+    /// About y.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    pub(crate) ry_deg: Option<f64>,
+    /// About z, in the specimen plane.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    pub(crate) rz_deg: Option<f64>,
 }
 
 #[derive(Debug, Subcommand)]

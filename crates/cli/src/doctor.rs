@@ -4,6 +4,7 @@ use crate::answer::Answer;
 use crate::args::DoctorArgs;
 use crate::desk::Desk;
 use crate::error::{CliError, Code};
+use crate::trial;
 use scopeservo_scope::conformance::{self, Check};
 use scopeservo_scope::{ChangeRule, Frame, Instrument, Motion, Samples, ScopeError};
 use scopeservo_servo::sharpness;
@@ -94,7 +95,7 @@ pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> 
     let desk = match Desk::open(&args.instrument, answer) {
         Ok(desk) => desk,
         Err(error) => match error.code() {
-            Code::NoDriver | Code::Refused | Code::Fault => {
+            Code::NoDriver | Code::Refused | Code::InUse | Code::Fault => {
                 findings.look("the instrument can be opened", Err(error.to_string()));
                 return findings.conclude("doctor");
             }
@@ -110,6 +111,13 @@ pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> 
     camera(&desk.scope, &mut findings);
     kept(&desk, &mut findings);
     if args.allow_motion {
+        // The smallest steps first.
+        let (seen, goes_on) = trial::of_pictures(&desk.scope);
+        seen.into_iter().for_each(|finding| findings.add(finding));
+        desk.scope.check_cancel()?;
+        if !goes_on {
+            return findings.conclude(&desk.config.name);
+        }
         for check in conformance::check_instrument(&desk.scope) {
             findings.add(check.into());
         }

@@ -5,12 +5,13 @@ use crate::args::DriverCheckArgs;
 use crate::desk::rein_in;
 use crate::doctor::{Finding, Findings};
 use crate::error::CliError;
+use crate::trial;
 use scopeservo_protocol::{Devices, Driver, Light, Secret};
 use scopeservo_scope::{
     Absent, CancelToken, ChangeRule, Clock, Instrument, MotionGate, Rules, ScopeError, SystemClock,
     conformance,
 };
-use scopeservo_setup::SetupError;
+use scopeservo_setup::{Held, SetupError};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -22,6 +23,7 @@ pub(crate) fn run(args: &DriverCheckArgs, answer: &Answer) -> Result<bool, CliEr
     let secret = args.secret_file.as_deref().map(read_secret).transpose()?;
     let cancel = CancelToken::new();
     let reins = rein_in(&cancel, answer);
+    let _held = Held::driver(&args.command, args.tcp.as_deref())?;
     let driver = open(args, secret.as_ref())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let devices = driver.devices(&clock).map_err(SetupError::from)?;
@@ -37,6 +39,15 @@ pub(crate) fn run(args: &DriverCheckArgs, answer: &Answer) -> Result<bool, CliEr
     let (scope, light) = instrument(devices, args.retract_z_um, &clock, &cancel)?;
     reins.hold(&scope);
 
+    if stage && camera {
+        // The smallest steps first.
+        let (seen, goes_on) = trial::of_pictures(&scope);
+        seen.into_iter().for_each(|finding| findings.add(finding));
+        scope.check_cancel()?;
+        if !goes_on {
+            return findings.conclude("driver check");
+        }
+    }
     let mut checks = Vec::new();
     if stage {
         checks.extend(conformance::check_stage(&scope));

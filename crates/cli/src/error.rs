@@ -78,6 +78,7 @@ pub(crate) enum Code {
     CannotRead,
     Damaged,
     Refused,
+    InUse,
     NoFocus,
     CalibrationFailed,
     WrongObjective,
@@ -103,6 +104,7 @@ impl Code {
             | Self::CannotRead
             | Self::Damaged => 2,
             Self::Refused
+            | Self::InUse
             | Self::NoFocus
             | Self::CalibrationFailed
             | Self::WrongObjective
@@ -144,6 +146,8 @@ fn setup_code(error: &SetupError) -> Code {
     match error.root() {
         SetupError::Driver(_) => Code::NoDriver,
         SetupError::Specimen(_) => Code::BadImage,
+        SetupError::InUse { .. } => Code::InUse,
+        SetupError::Held { .. } => Code::CannotWrite,
         // What the file sets cannot be.
         SetupError::Scope(ScopeError::BadSetting { .. }) => Code::BadDescription,
         SetupError::Scope(error) => scope_code(error),
@@ -166,6 +170,8 @@ fn servo_code(error: &ServoError) -> Code {
         ServoError::PoorTarget { .. } => Code::PoorTarget,
         ServoError::NothingMoves { .. } => Code::NothingMoves,
         ServoError::Repeats { .. } => Code::Ambiguous,
+        ServoError::MovesTooFar { .. } => Code::Refused,
+        ServoError::StaysNear { .. } => Code::Fault,
         _ => Code::Internal,
     }
 }

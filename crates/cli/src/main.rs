@@ -19,14 +19,16 @@ mod output;
 mod progress;
 mod register;
 mod scene;
+mod stage;
 mod store;
 mod threads;
+mod trial;
 mod twin_serve;
 mod views;
 mod work;
 
 use answer::Answer;
-use args::{Cli, Command, DriverCommand, TargetCommand, TwinCommand};
+use args::{Cli, Command, DriverCommand, StageCommand, TargetCommand, TwinCommand};
 use clap::Parser;
 use error::CliError;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -65,6 +67,7 @@ fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
         Command::Doctor(args) => doctor::run(&args, answer),
         Command::Calibrate(args) => work::calibrate(&args, answer),
         Command::Focus(args) => work::focus(&args, answer),
+        Command::Stage(StageCommand::Go(args)) => stage::go(&args, answer),
         Command::Target(TargetCommand::Save(args)) => work::save_target(&args, answer),
         Command::Target(TargetCommand::List(args)) => work::list_targets(&args, answer),
         Command::Reposition(args) => work::reposition(&args, answer),

@@ -53,7 +53,8 @@ fn show_focus(answer: &Answer, objective: &Objective, result: &FocusResult) {
 }
 
 pub(crate) fn focus(args: &FocusArgs, answer: &Answer) -> Result<bool, CliError> {
-    if !(args.range_um > 0.0 && args.range_um <= 2000.0) {
+    let range_um = args.range_um.unwrap_or(40.0);
+    if !(range_um > 0.0 && range_um <= 2000.0) {
         return Err(CliError::Usage(
             "--range-um must be above 0 and at most 2000".into(),
         ));
@@ -70,9 +71,11 @@ pub(crate) fn focus(args: &FocusArgs, answer: &Answer) -> Result<bool, CliError>
         let to = StagePose::default().with_si(Axis::Z, um * 1e-6);
         desk.scope.move_to(&to)?;
     }
+    let default = FocusOptions::default();
     let options = FocusOptions {
-        half_range_um: args.range_um,
-        ..FocusOptions::default()
+        half_range_um: range_um,
+        nearest_um: args.range_um.unwrap_or(default.nearest_um),
+        ..default
     };
     let result = bring(&desk, &objective, Some(options), &mut watcher);
     watcher.finish();

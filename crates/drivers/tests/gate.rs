@@ -129,6 +129,7 @@ fn gcode_passes_the_conformance_suite() {
         max_um: 20_000.0,
         steps_per_mm: 400.0,
         repeatability_um: 2.5,
+        arrival_tolerance_um: None,
     };
     let mut settings: GcodeSettings = serde_json::from_value(serde_json::json!({
         "kinematics": "specimen_xy_on_top",
@@ -172,6 +173,8 @@ fn the_sangaboard_passes_the_conformance_suite() {
 const AXES: [Axis; 3] = [Axis::X, Axis::Y, Axis::Z];
 const LIMIT_MM: f64 = 2.0;
 const RETRACTED_MM: f64 = -1.0;
+/// Where a retreat goes: beyond that by more than z scatters.
+const RETREAT_MM: f64 = -1.001;
 /// The gate's own slack of 1 um and half a step of a stepper.
 const SLACK_MM: f64 = 1.1e-3;
 /// Fast enough that much happens: no move takes longer than some hundredths of a second.
@@ -199,12 +202,17 @@ trait Emulated: Send + Sized + 'static {
     fn serve() -> std::io::Result<Server<Self>>;
     fn connect(emulator: &Server<Self>) -> Result<Box<dyn Stage>, ScopeError>;
     fn truth(emulator: &Server<Self>) -> Truth;
+    /// From now on moves of x take z along by so much, which the device says.
+    fn take_along(emulator: &Server<Self>, mm: f64);
     /// Lets something go wrong with the device. Says whether the driver may have to give the connection up for it.
     fn fail(emulator: &Server<Self>, fault: usize) -> bool;
 }
 
 impl Emulated for Controller {
-    const FAULTS: usize = 8;
+    const FAULTS: usize = 10;
+    fn take_along(emulator: &Gcs2Emulator, mm: f64) {
+        emulator.take_along(mm);
+    }
     fn serve() -> std::io::Result<Gcs2Emulator> {
         let mut stage = EmulatedStage::hexapod();
         stage.velocity = MM_PER_S;
@@ -231,6 +239,8 @@ impl Emulated for Controller {
             1 => emulator.stop_by_hand(),
             2..5 => emulator.set_never_on_target(fault == 2),
             5 => emulator.set_obeys(Obeys::OnlyLines),
+            8 => emulator.block_first_axis([-0.5, 0.5]),
+            9 => emulator.block_first_axis([f64::NEG_INFINITY, f64::INFINITY]),
             _ => emulator.set_obeys(Obeys::All),
         }
         false
@@ -239,6 +249,9 @@ impl Emulated for Controller {
 
 impl Emulated for Board {
     const FAULTS: usize = 9;
+    fn take_along(emulator: &GcodeEmulator, mm: f64) {
+        emulator.take_along(mm);
+    }
     fn serve() -> std::io::Result<GcodeEmulator> {
         let mut board = EmulatedBoard::new();
         board.steps_per_mm = [STEPS_PER_MM; 3];
@@ -252,6 +265,7 @@ impl Emulated for Board {
             max_um: 20_000.0,
             steps_per_mm: STEPS_PER_MM,
             repeatability_um: STEP_UM,
+            arrival_tolerance_um: None,
         };
         let settings = GcodeSettings {
             kinematics: Some(Kinematics::SpecimenXyOnTop),
@@ -297,6 +311,9 @@ impl Emulated for Board {
 
 impl Emulated for Sanga {
     const FAULTS: usize = 1;
+    fn take_along(emulator: &SangaEmulator, mm: f64) {
+        emulator.take_along((mm * STEPS_PER_MM) as i32);
+    }
     fn serve() -> std::io::Result<SangaEmulator> {
         let mut board = EmulatedSanga::new();
         board.steps_per_s = STEPS_PER_MM * MM_PER_S;
@@ -309,6 +326,7 @@ impl Emulated for Sanga {
                 min_um: -5000.0,
                 max_um: 5000.0,
                 repeatability_um: STEP_UM,
+                arrival_tolerance_um: None,
             })
         };
         let settings = SangaSettings {
@@ -351,15 +369,18 @@ enum Wish {
     Retract,
     Change(&'static str),
     Stop,
+    /// Has the stage arrived, if it says that it has settled?
+    Arrive,
 }
 
 impl Wish {
     fn any(random: &mut Random) -> Self {
-        match random.below(12) {
+        match random.below(13) {
             0..5 => Self::Move([(); 3].map(|()| (random.below(3) > 0).then(|| place(random)))),
             5..7 => Self::Retract,
             7..11 => Self::Change(random.of(&["10x", "40x"])),
-            _ => Self::Stop,
+            11 => Self::Stop,
+            _ => Self::Arrive,
         }
     }
 
@@ -373,7 +394,11 @@ impl Wish {
                 });
                 gate.start_move(&to)
             }
-            Self::Retract => gate.start_move(&pose(Axis::Z, RETRACTED_MM * 1e-3)),
+            Self::Retract => gate.start_move(&pose(Axis::Z, RETREAT_MM * 1e-3)),
+            Self::Arrive => match gate.poll()? {
+                Motion::Settled => gate.arrived().map(drop),
+                _ => Ok(()),
+            },
             Self::Change(id) => gate.start_change(&ObjectiveId(id.into())),
             Self::Stop => gate.stop(),
         }
@@ -390,13 +415,16 @@ enum Command {
     Fail(usize),
     /// A fault of the link, after so many answers.
     Lose(u32, Fault),
+    /// Moves of x take z along by so much, or no more.
+    TakeAlong(f64),
     /// The driver ends, wherever the stage is, and another begins.
     Restart,
 }
 
 impl Command {
     fn any(random: &mut Random, faults: usize) -> Self {
-        match random.below(32) {
+        match random.below(33) {
+            32 => Self::TakeAlong(random.of(&[0.0, 0.0, 0.7, -0.7])),
             0..17 => Self::Ask(Wish::any(random)),
             17..20 => Self::AtOnce(Wish::any(random), Wish::any(random)),
             20..28 => Self::Wait(Duration::from_micros(random.below(10_000) as u64)),
@@ -425,6 +453,7 @@ struct Tally {
     lost: u64,
     lost_moving: u64,
     found_moving: u64,
+    outside: u64,
     longest: Duration,
 }
 
@@ -437,6 +466,7 @@ impl Tally {
         self.lost += other.lost;
         self.lost_moving += other.lost_moving;
         self.found_moving += other.found_moving;
+        self.outside += other.outside;
         self.longest = self.longest.max(other.longest);
     }
 }
@@ -475,6 +505,14 @@ impl Watch {
     }
 }
 
+/// Whether a move may begin where z stands outside, and only z: straight away from the specimen, or back.
+fn may_begin(from_mm: &[f64; 3], goal_mm: &[Option<f64>; 3]) -> bool {
+    let moved = |k: usize| goal_mm[k].is_some_and(|mm| mm != from_mm[k]);
+    let goes_back = goal_mm[2].is_some_and(|mm| mm.abs() < from_mm[2].abs());
+    let too_near = from_mm[2] > 0.0;
+    goes_back && !(too_near && (moved(0) || moved(1)))
+}
+
 /// Sequences of commands on one emulator.
 fn drive<D: Emulated>(seed: u64, sequences: u64, watch: &Watch) -> Tally {
     let mut random = Random(seed);
@@ -482,11 +520,12 @@ fn drive<D: Emulated>(seed: u64, sequences: u64, watch: &Watch) -> Tally {
     let emulator = D::serve().unwrap();
     let mut gate = gated(&emulator, &turret);
     let mut tally = Tally::default();
-    let mut may_lose = false;
+    let (mut may_lose, mut excused) = (false, false);
     for nth in 0..sequences * COMMANDS {
         let command = Command::any(&mut random, D::FAULTS);
         let what = format!("seed {seed}, command {nth}, {command:?}");
         watch.begins(what.clone());
+        let before = D::truth(&emulator);
         let start = Instant::now();
         let answers = match command {
             Command::Ask(wish) => vec![(wish, wish.ask(&gate))],
@@ -509,15 +548,40 @@ fn drive<D: Emulated>(seed: u64, sequences: u64, watch: &Watch) -> Tally {
                 tally.faults += 1;
                 Vec::new()
             }
+            Command::TakeAlong(mm) => {
+                D::take_along(&emulator, mm);
+                excused |= mm != 0.0;
+                tally.faults += 1;
+                Vec::new()
+            }
             Command::Restart => Vec::new(),
         };
         let (turning, truth) = (turret.now().1, D::truth(&emulator));
-        for (mm, axis) in truth.mm.iter().zip(AXES) {
-            assert!(mm.abs() <= LIMIT_MM + 1e-6, "{what}: {axis} at {mm} mm");
+        // What took z along may have taken it past its limit. Then what is begun is judged, until it is back.
+        let within = |mm: &[f64; 3], slack: f64| mm.iter().all(|mm| mm.abs() <= LIMIT_MM + slack);
+        assert!(
+            within(&truth.mm, 1e-6) || excused,
+            "{what}: at {:?} mm",
+            truth.mm
+        );
+        if let [(Wish::Move(goal), Ok(()))] = &answers[..]
+            && !within(&before.mm, SLACK_MM)
+        {
+            tally.outside += 1;
+            assert!(
+                may_begin(&before.mm, goal),
+                "{what}: from {:?} mm",
+                before.mm
+            );
         }
         // The turret was asked before the truth: what turned then may have ended, never begun.
         let begun = matches!(answers[..], [(Wish::Change(_), Ok(()))]);
         if turning || begun {
+            assert!(
+                within(&truth.mm, SLACK_MM),
+                "{what}: it turns at {:?} mm",
+                truth.mm
+            );
             let z = truth.mm[2];
             assert!(z <= RETRACTED_MM + SLACK_MM, "{what}: it turns at {z} mm");
             assert!(!truth.moves, "{what}: it turns and moves");

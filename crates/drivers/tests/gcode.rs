@@ -18,6 +18,7 @@ fn settings() -> GcodeSettings {
         max_um: 50_000.0,
         steps_per_mm: 400.0,
         repeatability_um: 2.5,
+        arrival_tolerance_um: None,
     };
     GcodeSettings {
         kinematics: Some(Kinematics::SpecimenXyOnTop),

@@ -16,6 +16,7 @@ fn settings() -> SangaSettings {
         min_um: -2000.0,
         max_um: 2000.0,
         repeatability_um: 0.2,
+        arrival_tolerance_um: None,
     };
     SangaSettings {
         kinematics: Kinematics::SpecimenXyOnTop,

@@ -77,6 +77,9 @@ pub struct AxisHello {
     /// Half-width in which repeated arrivals end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeatability_um: Option<f64>,
+    /// How far from its goal it may say that it has settled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub arrival_tolerance_um: Option<f64>,
     /// Lower end of travel, of a rotation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub min_deg: Option<f64>,
@@ -86,6 +89,9 @@ pub struct AxisHello {
     /// Half-width in which repeated arrivals end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeatability_deg: Option<f64>,
+    /// How far from its goal it may say that it has settled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub arrival_tolerance_deg: Option<f64>,
 }
 
 /// A camera on the wire.
@@ -163,9 +169,19 @@ impl StageHello {
         let mut axes: Vec<AxisInfo> = Vec::new();
         for hello in &self.axes {
             let axis = hello.axis;
-            let (min, max, repeatability) = match axis.is_rotation() {
-                true => (hello.min_deg, hello.max_deg, hello.repeatability_deg),
-                false => (hello.min_um, hello.max_um, hello.repeatability_um),
+            let (min, max, repeatability, tolerance) = match axis.is_rotation() {
+                true => (
+                    hello.min_deg,
+                    hello.max_deg,
+                    hello.repeatability_deg,
+                    hello.arrival_tolerance_deg,
+                ),
+                false => (
+                    hello.min_um,
+                    hello.max_um,
+                    hello.repeatability_um,
+                    hello.arrival_tolerance_um,
+                ),
             };
             let unit = axis.display_unit();
             let (Some(min), Some(max), Some(repeatability)) = (min, max, repeatability) else {
@@ -176,18 +192,18 @@ impl StageHello {
             if !(min < max && min.is_finite() && max.is_finite()) {
                 return Err(format!("{axis} must have its min below its max"));
             }
-            if !(repeatability.is_finite() && repeatability >= 0.0) {
-                return Err(format!("the repeatability of {axis} must not be negative"));
-            }
             if axes.iter().any(|a| a.axis == axis) {
                 return Err(format!("{axis} is listed twice"));
             }
-            axes.push(AxisInfo {
+            let info = AxisInfo {
                 axis,
                 min: axis.from_display(min),
                 max: axis.from_display(max),
                 repeatability: axis.from_display(repeatability),
-            });
+                arrival_tolerance: tolerance.map(|shown| axis.from_display(shown)),
+            };
+            info.check().map_err(|e| e.to_string())?;
+            axes.push(info);
         }
         if axes.is_empty() {
             return Err("the stage has no axes".into());
@@ -228,6 +244,7 @@ impl AxisHello {
         let axis = info.axis;
         let [min, max, repeatability] =
             [info.min, info.max, info.repeatability].map(|si| axis.to_display(si));
+        let tolerance = info.arrival_tolerance.map(|si| axis.to_display(si));
         let turns = axis.is_rotation();
         let um = |v: f64| (!turns).then_some(v);
         let deg = |v: f64| turns.then_some(v);
@@ -236,9 +253,11 @@ impl AxisHello {
             min_um: um(min),
             max_um: um(max),
             repeatability_um: um(repeatability),
+            arrival_tolerance_um: tolerance.filter(|_| !turns),
             min_deg: deg(min),
             max_deg: deg(max),
             repeatability_deg: deg(repeatability),
+            arrival_tolerance_deg: tolerance.filter(|_| turns),
         }
     }
 }
@@ -362,6 +381,11 @@ mod tests {
         let info = stage.info().unwrap();
         assert!((info.axis(Axis::X).unwrap().max - 0.05).abs() < 1e-12);
         assert_eq!(StageHello::of(&info).info().unwrap().axes.len(), 2);
+        let mut stated = info.clone();
+        stated.axes[0].arrival_tolerance = Some(3e-6);
+        let back = StageHello::of(&stated).info().unwrap();
+        assert!((back.axes[0].tolerance() - 3e-6).abs() < 1e-15);
+        assert_eq!(back.axes[1].arrival_tolerance, None);
     }
 
     #[test]
@@ -386,6 +410,18 @@ mod tests {
             (
                 json!([{"axis":"x","min_um":0,"max_um":1,"repeatability_um":-1}]),
                 "negative",
+            ),
+            (
+                json!([{"axis":"x","min_um":0,"max_um":1,"repeatability_um":1}]),
+                "tenth of the travel",
+            ),
+            (
+                json!([{"axis":"x","min_um":0,"max_um":10000,"repeatability_um":600}]),
+                "50 um",
+            ),
+            (
+                json!([{"axis":"x","min_um":0,"max_um":1000,"repeatability_um":1,"arrival_tolerance_um":0}]),
+                "arrival tolerance",
             ),
             (
                 json!([{"axis":"z","min_um":0,"max_um":1,"repeatability_um":0}]),

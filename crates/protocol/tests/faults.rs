@@ -371,3 +371,105 @@ fn a_driver_that_is_killed_is_noticed_and_one_that_hangs_is_ended() {
     std::fs::remove_file(&folder).unwrap();
     assert!(!alive.status.success(), "{number} still runs");
 }
+
+#[test]
+fn answers_that_cannot_be_end_the_connection_whichever_call_they_are_to() {
+    type Ask = fn(&Devices) -> Result<(), ScopeError>;
+    let position: Ask = |d| d.stage.as_ref().unwrap().position().map(drop);
+    let motion: Ask = |d| d.stage.as_ref().unwrap().poll().map(drop);
+    let objective: Ask = |d| d.nosepiece.as_ref().unwrap().current().map(drop);
+    let exposure: Ask = |d| d.camera.as_ref().unwrap().exposure().map(drop);
+    let cases: [(Ask, Odd); 12] = [
+        (position, |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":\"true\",\"x_um\":1}}", id(l)).map(|()| true)
+        }),
+        (position, |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":true,\"x_um\":null}}", id(l)).map(|()| true)
+        }),
+        (position, |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":true,\"x_um\":NaN}}", id(l)).map(|()| true)
+        }),
+        (position, |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":true,\"x_um\":1e999}}", id(l)).map(|()| true)
+        }),
+        (position, |l, s| {
+            let deep = "[".repeat(30_000);
+            writeln!(s, "{{\"id\":{},\"ok\":true,\"a\":{deep}}}", id(l)).map(|()| true)
+        }),
+        (position, |_, s| {
+            // Never a line end, for as long as somebody listens.
+            while s.write_all(&[b'x'; 4096]).is_ok() {}
+            Ok(false)
+        }),
+        (motion, |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":true,\"motion\":\"flying\"}}", id(l)).map(|()| true)
+        }),
+        (objective, |l, s| {
+            let reply = "\"objective\":\"66x\",\"motion\":\"settled\"";
+            writeln!(s, "{{\"id\":{},\"ok\":true,{reply}}}", id(l)).map(|()| true)
+        }),
+        (objective, |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":true,\"objective\":3}}", id(l)).map(|()| true)
+        }),
+        (exposure, |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":true,\"exposure_ms\":1e12}}", id(l)).map(|()| true)
+        }),
+        (exposure, |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":true,\"exposure_ms\":NaN}}", id(l)).map(|()| true)
+        }),
+        (exposure, |l, s| {
+            writeln!(s, "{{\"id\":{},\"ok\":true,\"exposure_ms\":-1}}", id(l)).map(|()| true)
+        }),
+    ];
+    for (k, (ask, odd)) in cases.into_iter().enumerate() {
+        let (address, _told) = peer(HELLO, odd);
+        let devices = devices(&address);
+        let error = ask(&devices).expect_err("that is no answer");
+        let fault = error.kind() == scopeservo_scope::ErrorKind::Fault;
+        assert!(fault, "case {k}: {error:?}");
+    }
+}
+
+#[test]
+fn a_hello_that_cannot_be_is_refused_with_what_is_wrong() {
+    let said = |from: &str, to: &str| {
+        let hello: &'static str = Box::leak(HELLO.replacen(from, to, 1).into_boxed_str());
+        assert_ne!(hello, HELLO, "{from}");
+        let (address, _told) = peer(hello, |_, _| Ok(true));
+        let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+        let opened = Driver::connect(&address, None).and_then(|d| d.devices(&clock).map(drop));
+        opened.expect_err(to).to_string()
+    };
+    for (from, to, word) in [
+        ("\"min_um\":0", "\"min_um\":5000", "below"),
+        ("\"min_um\":0", "\"min_um\":NaN", "no JSON object"),
+        ("\"max_um\":1000", "\"max_um\":1e999", "no JSON object"),
+        (
+            "\"repeatability_um\":0",
+            "\"repeatability_um\":-1",
+            "negative",
+        ),
+        (
+            "\"repeatability_um\":0",
+            "\"repeatability_um\":600",
+            "half-width",
+        ),
+        (
+            "\"repeatability_um\":0",
+            "\"repeatability_um\":1e9",
+            "half-width",
+        ),
+        ("\"axis\":\"x\"", "\"axis\":\"z\"", "positive_z"),
+        ("\"um_per_px\":1}", "\"um_per_px\":-1}", "um"),
+        ("\"width_px\":8", "\"width_px\":0", "frames"),
+        (
+            "\"min_exposure_ms\":1",
+            "\"min_exposure_ms\":1e9",
+            "exposures",
+        ),
+        ("\"protocol\":1", "\"protocol\":2", "version 2"),
+    ] {
+        let said = said(from, to);
+        assert!(said.contains(word), "{to}: {said}");
+    }
+}

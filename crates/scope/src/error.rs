@@ -1,7 +1,24 @@
 //! What can go wrong with an instrument, with what the next layer needs to go on.
 
-use crate::{Axis, ObjectiveId, StagePose};
+use crate::{Axis, Breach, ObjectiveId, StagePose};
 use thiserror::Error;
+
+/// A number that a device told, whatever it is.
+fn told(number: f64) -> String {
+    match number.abs() < 1e9 {
+        true => format!("{number:.1}"),
+        false => format!("{number:e}"),
+    }
+}
+
+/// Where the stage was seen to stand, as the end of a sentence; nothing for one that was not looked at.
+fn stands(at: &Option<StagePose>) -> String {
+    match at {
+        None => String::new(),
+        Some(at) if *at == StagePose::default() => "; the stage stands still".into(),
+        Some(at) => format!("; the stage stands still at {at}"),
+    }
+}
 
 /// The error of every device call.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -118,11 +135,66 @@ pub enum ScopeError {
         /// Those there are, separated by commas.
         available: String,
     },
-    /// The user, or another thread, stopped the work. The stage stands at `at`.
-    #[error("stopped on request; the stage stands still")]
+    /// The stage stands outside, and a move was asked for that does not bring it back. Nothing moved.
+    #[error(
+        "the stage stands where it may not: {breach}; nothing moved. Only moves back inside are allowed, and straight away from the \
+         specimen: `scopeservo stage go`"
+    )]
+    StandsOutside {
+        /// What it breaks.
+        breach: Breach,
+    },
+    /// The user, or another thread, stopped the work.
+    #[error("stopped on request{}", stands(at))]
     Interrupted {
-        /// Where the stage stopped, if it could be read.
+        /// Where the stage was seen to stand still; `None` when nobody looked.
         at: Option<StagePose>,
+    },
+    /// It was told to stop, and goes on.
+    #[error("the {device} was told to stop and still moves: use the emergency stop")]
+    StillMoves {
+        /// Which device.
+        device: &'static str,
+    },
+    /// A move ended elsewhere than at its goal. The stage was told to stop.
+    #[error(
+        "{axis} was sent to {goal:.1} {unit} and says it settled at {at:.1} {unit}: look for an obstacle, and for lost steps, before \
+         moving again",
+        unit = axis.display_unit()
+    )]
+    NotArrived {
+        /// The axis.
+        axis: Axis,
+        /// Where it was sent, in the axis' display unit (um or deg).
+        goal: f64,
+        /// Where it says it is, same unit.
+        at: f64,
+    },
+    /// After a move the stage stands where it may not. It was told to stop.
+    #[error(
+        "after a move the stage stands where it may not: {breach}; it was told to stop. See what moved it there, then bring it back \
+         with `scopeservo stage go`"
+    )]
+    Strayed {
+        /// What it breaks.
+        breach: Breach,
+    },
+    /// The stage says that it is where it said that it cannot be.
+    #[error(
+        "{axis} says that it is at {} {unit}, and its own travel is {min:.1} to {max:.1} {unit}: check its unit and its reference, \
+         or bring it back by its maker's means",
+        told(*at),
+        unit = axis.display_unit()
+    )]
+    ImpossiblePlace {
+        /// The axis.
+        axis: Axis,
+        /// Where it says it is, in the axis' display unit (um or deg); not a number when it says nothing.
+        at: f64,
+        /// The lower end of its travel, same unit.
+        min: f64,
+        /// The upper end of its travel, same unit.
+        max: f64,
     },
     /// A move ended before its goal.
     #[error(
@@ -203,11 +275,16 @@ impl ScopeError {
             | Self::NotFinite { .. }
             | Self::BadSetting { .. }
             | Self::Refused { .. }
+            | Self::StandsOutside { .. }
             | Self::NotHomed { .. }
             | Self::Busy { .. }
             | Self::NoSuchObjective { .. } => ErrorKind::Refused,
             Self::Interrupted { .. } => ErrorKind::Interrupted,
             Self::MoveAborted { .. }
+            | Self::NotArrived { .. }
+            | Self::Strayed { .. }
+            | Self::ImpossiblePlace { .. }
+            | Self::StillMoves { .. }
             | Self::ChangeEnded { .. }
             | Self::Timeout { .. }
             | Self::Lost { .. }

@@ -1,14 +1,14 @@
 //! The motion gate: the one way to move a stage or turn a nosepiece. It refuses with a reason, and never clips.
 
-use crate::rules::narrowed;
+use crate::judge::{Judge, at_most};
 use crate::{
-    Axis, AxisRange, CancelToken, ChangeRule, ErrorKind, Motion, Nosepiece, Objective, ObjectiveId,
-    PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose, Workspace, Zone,
+    Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, ErrorKind, Motion, Nosepiece, Objective,
+    ObjectiveId, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose,
 };
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard};
 
-/// Two heights nearer to each other than this are the same: 1 um.
+/// A height that is this much nearer to the specimen is still the one that a rule names, however the stage scatters: 1 um.
 const SAME_HEIGHT_M: f64 = 1e-6;
 
 /// A stage that stands where the nosepiece may not turn.
@@ -18,6 +18,15 @@ pub struct AtWork {
     pub here_m: f64,
     /// From where on the nosepiece may turn, m.
     pub retracted_m: f64,
+    /// Where to go for that: farther by what z may miss, m.
+    pub retreat_m: f64,
+}
+
+/// A move that was begun.
+#[derive(Debug, Clone, Copy)]
+struct Way {
+    from: StagePose,
+    to: StagePose,
 }
 
 /// Stage and nosepiece behind their rules. There is no way to move an [`crate::Instrument`] but through this type: a request is
@@ -32,6 +41,8 @@ pub struct MotionGate {
     /// Limits for all objectives, one for each axis that the stage has.
     ranges: Vec<AxisRange>,
     begin: Mutex<()>,
+    /// The last move that was begun.
+    way: Mutex<Option<Way>>,
     stops: AtomicU64,
     /// Once cancelled, nothing begins any more.
     cancel: CancelToken,
@@ -60,6 +71,7 @@ impl MotionGate {
             rules,
             ranges,
             begin: Mutex::new(()),
+            way: Mutex::new(None),
             stops: AtomicU64::new(0),
             cancel: CancelToken::new(),
         })
@@ -110,9 +122,27 @@ impl MotionGate {
         self.nosepiece.disprove()
     }
 
-    /// Where the stage says it is.
+    /// Where the stage says it is, all of its axes.
+    ///
+    /// # Errors
+    /// What the stage reports; [`ScopeError::ImpossiblePlace`] when that is where it cannot be by what it says of itself.
     pub fn position(&self) -> Result<StagePose, ScopeError> {
-        self.stage.position()
+        let at = self.stage.position()?;
+        for info in &self.info().axes {
+            let axis = info.axis;
+            let si = at.si(axis).unwrap_or(f64::NAN);
+            let slack = info.tolerance();
+            // What is no number is nowhere.
+            if !(info.min - slack..=info.max + slack).contains(&si) {
+                return Err(ScopeError::ImpossiblePlace {
+                    axis,
+                    at: axis.to_display(si),
+                    min: axis.to_display(info.min),
+                    max: axis.to_display(info.max),
+                });
+            }
+        }
+        Ok(at)
     }
 
     /// What the stage is doing.
@@ -145,25 +175,75 @@ impl MotionGate {
         })
     }
 
-    /// Whether the stage may stand there, with the objective that is in the beam: limits, workspace, zones. The way there is
-    /// judged when the move begins.
+    /// Whether the stage may go there from where it stands, with the objective that is in the beam: limits, workspace, zones. The way
+    /// there is judged when the move begins.
     ///
     /// # Errors
-    /// [`ScopeError::OutsideLimits`], [`ScopeError::OutsideWorkspace`], [`ScopeError::TooClose`], [`ScopeError::NoSuchAxis`] or
-    /// [`ScopeError::NotFinite`].
+    /// [`ScopeError::OutsideLimits`], [`ScopeError::OutsideWorkspace`], [`ScopeError::TooClose`], [`ScopeError::StandsOutside`],
+    /// [`ScopeError::NoSuchAxis`] or [`ScopeError::NotFinite`]; and those of [`MotionGate::position`].
     pub fn check(&self, to: &StagePose) -> Result<(), ScopeError> {
         self.check_numbers(to)?;
-        let here = match self.needs_place() {
-            true => self.stage.position()?,
-            false => StagePose::default(),
+        let here = self.position()?;
+        self.judge(&self.in_beam()?).check_goal(&here, to)
+    }
+
+    /// Whether the stage may go to each of these places from where it stands, as [`MotionGate::check`] tells. The devices are asked
+    /// once.
+    ///
+    /// # Errors
+    /// What the devices report, and those of [`MotionGate::position`].
+    pub fn allowed(&self, places: &[StagePose]) -> Result<Vec<bool>, ScopeError> {
+        let here = self.position()?;
+        let in_beam = self.in_beam()?;
+        let may = |to: &StagePose| {
+            let goal = self.judge(&in_beam).check_goal(&here, to);
+            self.check_numbers(to).and(goal).is_ok()
         };
-        self.check_place(&self.in_beam()?, &here, to)
+        Ok(places.iter().map(may).collect())
+    }
+
+    /// Whether the last move that was begun ended where it was sent, and the whole stage stands where it may: to be asked when the stage
+    /// has settled. Returns where it says it is. This is the one place that judges arrivals, of all drivers.
+    ///
+    /// # Errors
+    /// [`ScopeError::NotArrived`], [`ScopeError::Strayed`], and those of [`MotionGate::position`]; the stage was then told to stop.
+    pub fn arrived(&self) -> Result<StagePose, ScopeError> {
+        let answer = self.judge_arrival();
+        if answer.is_err() {
+            // Why is the news.
+            let _ = self.stop();
+        }
+        answer
+    }
+
+    fn judge_arrival(&self) -> Result<StagePose, ScopeError> {
+        let at = self.position()?;
+        let Some(way) = *self.way.lock().unwrap_or_else(|e| e.into_inner()) else {
+            return Ok(at);
+        };
+        for info in &self.info().axes {
+            let axis = info.axis;
+            let (Some(goal), Some(there)) = (way.to.si(axis), at.si(axis)) else {
+                continue;
+            };
+            if !at_most((there - goal).abs(), info.tolerance()) {
+                return Err(ScopeError::NotArrived {
+                    axis,
+                    goal: axis.to_display(goal),
+                    at: axis.to_display(there),
+                });
+            }
+        }
+        match self.judge(&self.in_beam()?).strayed(&way.from, &at) {
+            Some(breach) => Err(ScopeError::Strayed { breach }),
+            None => Ok(at),
+        }
     }
 
     /// Starts a move if the rules allow it.
     ///
     /// # Errors
-    /// Those of [`MotionGate::check`], [`ScopeError::StepTooLarge`], [`ScopeError::Busy`] while stage or nosepiece move,
+    /// Those of [`MotionGate::check`]; [`ScopeError::StepTooLarge`], [`ScopeError::Busy`] while stage or nosepiece move,
     /// [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report. Unless it is one of the stage's
     /// own faults, nothing moved.
     pub fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
@@ -179,23 +259,25 @@ impl MotionGate {
         if self.stage.poll()? == Motion::Moving {
             return Err(ScopeError::Busy { device: "stage" });
         }
-        let here = match self.needs_place() {
-            true => self.stage.position()?,
-            false => StagePose::default(),
-        };
+        let here = self.position()?;
         let in_beam = self.in_beam()?;
-        self.check_place(&in_beam, &here, to)?;
-        if self.needs_place() {
-            self.check_way(&in_beam, &here, to)?;
-        }
+        let judge = self.judge(&in_beam);
+        judge.check_goal(&here, to)?;
+        judge.check_way(&here, to)?;
         self.begun(self.stage.start_move(to))?;
+        let way = Way {
+            from: here,
+            to: *to,
+        };
+        *self.way.lock().unwrap_or_else(|e| e.into_inner()) = Some(way);
         self.stopped_meanwhile(stops)
     }
 
     /// Starts to change the objective if the rules allow it.
     ///
     /// # Errors
-    /// [`ScopeError::NoSuchObjective`], [`ScopeError::NotRetracted`], [`ScopeError::Busy`] while stage or nosepiece move,
+    /// [`ScopeError::NoSuchObjective`], [`ScopeError::NotRetracted`], [`ScopeError::StandsOutside`] and those of the places where the
+    /// objective that comes may not be, [`ScopeError::Busy`] while stage or nosepiece move,
     /// [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report.
     pub fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
         self.objective(to)?;
@@ -216,10 +298,13 @@ impl MotionGate {
                 needed_um: work.retracted_m * 1e6,
             });
         }
-        if self.narrows() {
-            // Where the stage stands the objective that comes must be allowed, too.
-            let here = self.stage.position()?;
-            self.check_place(std::slice::from_ref(to), &here, &here)?;
+        let here = self.position()?;
+        if let Some(breach) = self.judge(&self.in_beam()?).breach(&here) {
+            return Err(ScopeError::StandsOutside { breach });
+        }
+        // The objective that comes must be allowed there, too.
+        if let Some(breach) = self.judge(std::slice::from_ref(to)).breach(&here) {
+            return Err(breach.into());
         }
         self.begun(self.nosepiece.start_change(to))?;
         self.stopped_meanwhile(stops)
@@ -233,13 +318,14 @@ impl MotionGate {
         let ChangeRule::Retracted { z, .. } = self.rules.change else {
             return Ok(None);
         };
-        let here = self.stage.position()?.si(Axis::Z);
+        let here = self.position()?.si(Axis::Z);
         let here_m = here.ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
         let nearer = self.positive_z().nearer_by(here_m, z);
-        let retracted = at_most(nearer, self.same_height_m());
-        Ok((!retracted).then_some(AtWork {
+        let clearance = self.info().axis(Axis::Z).map_or(0.0, AxisInfo::clearance);
+        Ok((!at_most(nearer, SAME_HEIGHT_M)).then_some(AtWork {
             here_m,
             retracted_m: z,
+            retreat_m: self.positive_z().away(z, clearance),
         }))
     }
 
@@ -272,9 +358,7 @@ impl MotionGate {
 
     fn check_cancel(&self) -> Result<(), ScopeError> {
         match self.cancel.is_cancelled() {
-            true => Err(ScopeError::Interrupted {
-                at: self.stage.position().ok(),
-            }),
+            true => Err(ScopeError::Interrupted { at: None }),
             false => Ok(()),
         }
     }
@@ -291,28 +375,22 @@ impl MotionGate {
         answer
     }
 
-    /// Two heights nearer to each other than this are the same.
-    fn same_height_m(&self) -> f64 {
-        let scatter = self.info().axis(Axis::Z).map_or(0.0, |z| z.repeatability);
-        SAME_HEIGHT_M.max(4.0 * scatter)
-    }
-
     /// A stop that came between the check and the beginning of a move may have found nothing to stop.
     fn stopped_meanwhile(&self, stops: u64) -> Result<(), ScopeError> {
         if self.stops.load(Ordering::SeqCst) == stops && !self.cancel.is_cancelled() {
             return Ok(());
         }
         self.stop()?;
-        Err(ScopeError::Interrupted {
-            at: self.stage.position().ok(),
-        })
+        Err(ScopeError::Interrupted { at: None })
     }
 
-    /// Whether a rule looks at more than the axes that are asked to move.
-    fn needs_place(&self) -> bool {
-        self.narrows()
-            || self.rules.workspace != Workspace::Box
-            || !self.rules.largest_steps.is_empty()
+    fn judge<'a>(&'a self, in_beam: &'a [ObjectiveId]) -> Judge<'a> {
+        Judge {
+            info: self.info(),
+            rules: &self.rules,
+            ranges: &self.ranges,
+            in_beam,
+        }
     }
 
     /// Whether a rule depends on the objective.
@@ -345,152 +423,4 @@ impl MotionGate {
             None => self.objectives().iter().map(|o| o.id.clone()).collect(),
         })
     }
-
-    fn check_place(
-        &self,
-        in_beam: &[ObjectiveId],
-        here: &StagePose,
-        to: &StagePose,
-    ) -> Result<(), ScopeError> {
-        within(&self.ranges, to)?;
-        // Axes that are not asked to move stand where they are; a retreat is allowed from anywhere.
-        let whole = to.or(here);
-        let retreat = self.retreats(here, to);
-        let judged = if retreat { to } else { &whole };
-        for id in in_beam {
-            if let Some(limits) = self.rules.objective_limits.get(id) {
-                within(&narrowed(&self.ranges, limits, self.info())?, judged)?;
-            }
-        }
-        if self.rules.workspace == Workspace::Ellipsoid {
-            let share = |axis: &crate::AxisInfo| {
-                let at = whole.si(axis.axis);
-                let (middle, half) = ((axis.max + axis.min) / 2.0, (axis.max - axis.min) / 2.0);
-                at.map(|at| ((at - middle) / half).powi(2))
-            };
-            // An axis whose place is not known may be anywhere.
-            let load = self
-                .info()
-                .axes
-                .iter()
-                .map(|axis| share(axis).unwrap_or(f64::INFINITY))
-                .sum::<f64>()
-                .sqrt();
-            if !at_most(load, 1.0) {
-                return Err(ScopeError::OutsideWorkspace { share: load });
-            }
-        }
-        if retreat {
-            return Ok(());
-        }
-        // A height that nobody knows is not known to be clear.
-        let z = whole.si(Axis::Z).unwrap_or(f64::NAN);
-        let [x, y] = [Axis::X, Axis::Y].map(|axis| [whole.si(axis); 2]);
-        for zone in self.zones_for(in_beam) {
-            if reaches(zone.x, x) && reaches(zone.y, y) {
-                self.clear(zone, z)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// The axes may go one after the other, in any order: the whole box between start and goal counts.
-    fn check_way(
-        &self,
-        in_beam: &[ObjectiveId],
-        here: &StagePose,
-        to: &StagePose,
-    ) -> Result<(), ScopeError> {
-        let retreat = self.retreats(here, to);
-        for largest in &self.rules.largest_steps {
-            let axis = largest.axis;
-            let Some(goal) = to.si(axis) else { continue };
-            let step = here
-                .si(axis)
-                .map_or(f64::INFINITY, |from| (goal - from).abs());
-            let retreats = retreat && axis == Axis::Z;
-            if !retreats && !at_most(step, largest.step) {
-                return Err(ScopeError::StepTooLarge {
-                    axis,
-                    step: axis.to_display(step),
-                    largest: axis.to_display(largest.step),
-                });
-            }
-        }
-        if retreat {
-            // Away from the specimen is the way out of everything.
-            return Ok(());
-        }
-        let whole = to.or(here);
-        let from = here.si(Axis::Z).unwrap_or(f64::NAN);
-        let goal = to.si(Axis::Z).unwrap_or(from);
-        // Neither is known to be the nearer one when one is unknown: then it is the unknown one.
-        let nearest = match self.positive_z().nearer_by(from, goal) <= 0.0 {
-            true => goal,
-            false => from,
-        };
-        let both = |axis| [here.si(axis), whole.si(axis)];
-        for zone in self.zones_for(in_beam) {
-            if reaches(zone.x, both(Axis::X)) && reaches(zone.y, both(Axis::Y)) {
-                self.clear(zone, nearest)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Whether a move goes away from the specimen and nowhere else: the way out of everything.
-    fn retreats(&self, here: &StagePose, to: &StagePose) -> bool {
-        let rests = |axis: Axis| to.si(axis).is_none_or(|goal| Some(goal) == here.si(axis));
-        let mut others = Axis::ALL.into_iter().filter(|a| *a != Axis::Z);
-        let heights = here.si(Axis::Z).zip(to.si(Axis::Z));
-        others.all(rests)
-            && heights.is_some_and(|(from, goal)| self.positive_z().nearer_by(goal, from) < 0.0)
-    }
-
-    fn zones_for<'a>(&'a self, in_beam: &'a [ObjectiveId]) -> impl Iterator<Item = &'a Zone> {
-        self.rules.zones.iter().filter(move |zone| {
-            zone.objectives.is_empty() || zone.objectives.iter().any(|id| in_beam.contains(id))
-        })
-    }
-
-    fn clear(&self, zone: &Zone, z: f64) -> Result<(), ScopeError> {
-        if at_most(self.positive_z().nearer_by(z, zone.closest_z), 0.0) {
-            return Ok(());
-        }
-        Err(ScopeError::TooClose {
-            zone: zone.name.clone(),
-            z_um: z * 1e6,
-            closest_um: zone.closest_z * 1e6,
-        })
-    }
-}
-
-/// What is no number is not known to be small.
-fn at_most(value: f64, limit: f64) -> bool {
-    value <= limit
-}
-
-/// Whether anything between two coordinates lies in a range; unknown ones may lie anywhere.
-fn reaches(range: [f64; 2], between: [Option<f64>; 2]) -> bool {
-    let [Some(a), Some(b)] = between else {
-        return true;
-    };
-    !(a.max(b) < range[0] || a.min(b) > range[1])
-}
-
-fn within(ranges: &[AxisRange], to: &StagePose) -> Result<(), ScopeError> {
-    for range in ranges {
-        let Some(asked) = to.si(range.axis) else {
-            continue;
-        };
-        if !(asked >= range.min && asked <= range.max) {
-            return Err(ScopeError::OutsideLimits {
-                axis: range.axis,
-                asked: range.axis.to_display(asked),
-                min: range.axis.to_display(range.min),
-                max: range.axis.to_display(range.max),
-            });
-        }
-    }
-    Ok(())
 }

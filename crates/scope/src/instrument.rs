@@ -1,8 +1,8 @@
 //! A whole microscope: what moves, behind its gate, camera and clock, with the waiting that every procedure needs.
 
 use crate::{
-    Axis, Camera, ChangeRule, Clock, Frame, Length, Motion, MotionGate, Objective, ObjectiveId,
-    ScopeError, StagePose,
+    Axis, AxisInfo, Camera, ChangeRule, Clock, ErrorKind, Frame, Length, Motion, MotionGate,
+    Objective, ObjectiveId, ScopeError, StagePose, stand_still,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -58,11 +58,15 @@ pub struct Instrument {
     cancel: CancelToken,
     /// Where each objective was last in focus.
     focus: Mutex<BTreeMap<ObjectiveId, Length>>,
+    /// Where the present command's first move found the stage.
+    began: Mutex<Option<StagePose>>,
     moves: AtomicU64,
     frames: AtomicU64,
     objective_changes: AtomicU64,
     /// A frame that nobody waits for any more.
     given_up: Mutex<Option<std::thread::JoinHandle<()>>>,
+    /// Let go last, after the devices.
+    kept: Vec<Box<dyn std::any::Any + Send + Sync>>,
 }
 
 /// A driver that hangs over a frame is given so long to be noticed as such, and ended, before the instrument is gone.
@@ -98,11 +102,20 @@ impl Instrument {
             clock,
             cancel,
             focus: Mutex::new(BTreeMap::new()),
+            began: Mutex::new(None),
             moves: AtomicU64::new(0),
             frames: AtomicU64::new(0),
             objective_changes: AtomicU64::new(0),
             given_up: Mutex::new(None),
+            kept: Vec::new(),
         }
+    }
+
+    /// Keeps something for as long as the instrument is there, and lets it go after the devices: that nobody else may drive them.
+    #[must_use]
+    pub fn keeping(mut self, what: impl std::any::Any + Send + Sync) -> Self {
+        self.kept.push(Box::new(what));
+        self
     }
 
     /// Stage and nosepiece, behind their rules.
@@ -157,20 +170,106 @@ impl Instrument {
         self.focus.lock().unwrap_or_else(|e| e.into_inner())
     }
 
-    /// Moves and waits until the stage has settled. Returns where it says it is.
+    /// Moves and waits until the stage has settled, and sees that it is where it was sent. Returns where it says it is.
     ///
     /// # Errors
-    /// Refused moves as in [`MotionGate::start_move`]; [`ScopeError::Interrupted`] after the token was cancelled (the
-    /// stage was stopped first); [`ScopeError::MoveAborted`]; [`ScopeError::Timeout`].
+    /// Refused moves as in [`MotionGate::start_move`]; [`ScopeError::NotArrived`] and [`ScopeError::Strayed`] as in
+    /// [`MotionGate::arrived`]; [`ScopeError::Interrupted`] after the token was cancelled (the stage was stopped first);
+    /// [`ScopeError::MoveAborted`]; [`ScopeError::Timeout`].
     pub fn move_to(&self, to: &StagePose) -> Result<StagePose, ScopeError> {
         self.check_cancel()?;
-        self.gate.start_move(to)?;
+        self.remember_beginning()?;
+        self.gate.start_move(to).map_err(|e| self.seen(e))?;
         self.moves.fetch_add(1, Ordering::SeqCst);
-        let settled = self.wait("stage", MOVE_TIMEOUT, || self.gate.poll())?;
-        let at = self.gate.position();
-        match settled {
-            Motion::Settled => at,
-            _ => Err(ScopeError::MoveAborted { at: at.ok() }),
+        match self.wait("stage", MOVE_TIMEOUT, || self.gate.poll())? {
+            Motion::Settled => self.gate.arrived(),
+            _ => Err(ScopeError::MoveAborted {
+                at: self.gate.position().ok(),
+            }),
+        }
+    }
+
+    /// Another command begins: what fails from now on goes back to the height at which its first move will find the stage. A new
+    /// instrument is at the beginning of its first.
+    pub fn command_begins(&self) {
+        *self.began_mut() = None;
+    }
+
+    fn began_mut(&self) -> std::sync::MutexGuard<'_, Option<StagePose>> {
+        self.began.lock().unwrap_or_else(|e| e.into_inner())
+    }
+
+    fn remember_beginning(&self) -> Result<(), ScopeError> {
+        let mut began = self.began_mut();
+        if began.is_none() {
+            *began = Some(self.gate.position()?);
+        }
+        Ok(())
+    }
+
+    /// Goes to a height from the side away from the specimen, so that play leaves the stage farther and never nearer than the height
+    /// says. Where the last of the way is refused, it stays farther away.
+    ///
+    /// # Errors
+    /// As [`Instrument::move_to`].
+    pub fn return_to_height(&self, z: Length) -> Result<(), ScopeError> {
+        let to = |z: f64| StagePose::default().with_si(Axis::Z, z);
+        let clearance = self
+            .gate
+            .info()
+            .axis(Axis::Z)
+            .map_or(0.0, AxisInfo::clearance);
+        let beyond = to(self.gate.positive_z().away(z.m(), clearance));
+        if self.gate.check(&beyond).is_ok() {
+            self.move_to(&beyond)?;
+            return match self.move_to(&to(z.m())) {
+                Err(error) if error.kind() == ErrorKind::Refused => Ok(()),
+                ended => ended.map(drop),
+            };
+        }
+        self.move_to(&to(z.m())).map(drop)
+    }
+
+    /// What a command that failed leaves: the stage goes back to the height at which the command found it, where it stands nearer to
+    /// the specimen. Elsewhere it stays, and so it does once somebody has asked for a stop.
+    ///
+    /// # Errors
+    /// As [`Instrument::move_to`], and [`ScopeError::StillMoves`].
+    pub fn withdraw(&self) -> Result<(), ScopeError> {
+        let began = self.began_mut().and_then(|at| at.z);
+        let Some(began) = began.filter(|_| !self.cancel.is_cancelled()) else {
+            return Ok(());
+        };
+        let here = self.stand_still()?.z.unwrap_or(began);
+        match self.gate.positive_z().nearer_by(here.m(), began.m()) > 0.0 {
+            true => self.return_to_height(began),
+            false => Ok(()),
+        }
+    }
+
+    /// Waits until the stage was seen to stand. Returns where.
+    ///
+    /// # Errors
+    /// As [`stand_still`].
+    pub fn stand_still(&self) -> Result<StagePose, ScopeError> {
+        let (poll, position) = (|| self.gate.poll(), || self.gate.position());
+        stand_still(self.gate.info(), self.clock(), &poll, &position)
+    }
+
+    /// Stops everything, and tells whether it was seen to stand.
+    fn stopped(&self) -> ScopeError {
+        let stood = self.gate.stop().and_then(|()| self.stand_still());
+        match stood {
+            Ok(at) => ScopeError::Interrupted { at: Some(at) },
+            Err(error) => error,
+        }
+    }
+
+    /// An interruption that nobody has looked at, seen to.
+    fn seen(&self, error: ScopeError) -> ScopeError {
+        match error {
+            ScopeError::Interrupted { .. } => self.stopped(),
+            error => error,
         }
     }
 
@@ -185,6 +284,7 @@ impl Instrument {
     pub fn select_objective(&self, id: &ObjectiveId) -> Result<(), ScopeError> {
         self.check_cancel()?;
         self.gate.objective(id)?;
+        self.remember_beginning()?;
         let before = self.gate.current_objective()?;
         if before.as_ref() == Some(id) {
             return Ok(());
@@ -196,7 +296,7 @@ impl Instrument {
         let side = self.gate.positive_z();
         let work = self.gate.at_work()?;
         if let Some(work) = work {
-            self.move_to(&to(work.retracted_m))?;
+            self.move_to(&to(work.retreat_m))?;
         }
         self.turn(id).map_err(|error| match (error, work) {
             (ScopeError::ChangeEnded { asked, .. }, Some(work)) => ScopeError::ChangeEnded {
@@ -219,7 +319,7 @@ impl Instrument {
                 .filter(|l| l.axis == Axis::Z)
                 .map(|l| l.step)
                 .fold(f64::INFINITY, f64::min);
-            let mut at = work.retracted_m;
+            let mut at = work.retreat_m;
             while side.nearer_by(expected, at) > longest {
                 // A little less, so that rounding is no reason to refuse.
                 at = side.away(at, -0.999 * longest);
@@ -233,7 +333,7 @@ impl Instrument {
     }
 
     fn turn(&self, id: &ObjectiveId) -> Result<(), ScopeError> {
-        self.gate.start_change(id)?;
+        self.gate.start_change(id).map_err(|e| self.seen(e))?;
         self.objective_changes.fetch_add(1, Ordering::SeqCst);
         let settled = self.wait("nosepiece", CHANGE_TIMEOUT, || self.gate.poll_nosepiece())?;
         if settled == Motion::Stopped {
@@ -293,13 +393,10 @@ impl Instrument {
 
     /// An error when a stop was asked for.
     pub fn check_cancel(&self) -> Result<(), ScopeError> {
-        if self.cancel.is_cancelled() {
-            self.gate.stop()?;
-            return Err(ScopeError::Interrupted {
-                at: self.gate.position().ok(),
-            });
+        match self.cancel.is_cancelled() {
+            true => Err(self.stopped()),
+            false => Ok(()),
         }
-        Ok(())
     }
 
     fn wait(
@@ -310,12 +407,7 @@ impl Instrument {
     ) -> Result<Motion, ScopeError> {
         let start = self.clock.now();
         loop {
-            if self.cancel.is_cancelled() {
-                self.gate.stop()?;
-                return Err(ScopeError::Interrupted {
-                    at: self.gate.position().ok(),
-                });
-            }
+            self.check_cancel()?;
             match poll() {
                 Ok(Motion::Moving) => {}
                 // Stopped from the side that also asked for the stop: the next turn says so.
@@ -448,6 +540,7 @@ mod tests {
                     min: -1.0,
                     max: 1.0,
                     repeatability: 0.0,
+                    arrival_tolerance: None,
                 }],
                 kinematics: Kinematics::MovesMicroscope,
                 positive_z: PositiveZ::Closer,

@@ -1,6 +1,6 @@
 //! What a motion gate is told to allow. SI units (m, rad), ends included.
 
-use crate::{Axis, Objective, ObjectiveId, PositiveZ, ScopeError, StageInfo};
+use crate::{Axis, AxisInfo, Objective, ObjectiveId, PositiveZ, ScopeError, StageInfo};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -108,14 +108,17 @@ impl Rules {
     /// Whether these rules make sense for a stage and its objectives, and the limits of each axis.
     ///
     /// # Errors
-    /// [`ScopeError::BadSetting`] when a range is empty or not finite or names an unknown objective, [`ScopeError::NoSuchAxis`]
-    /// when one names an axis that the stage lacks.
+    /// [`ScopeError::BadSetting`] when a range is empty or not finite or names an unknown objective, or what the stage says of an axis
+    /// cannot be; [`ScopeError::NoSuchAxis`] when one names an axis that the stage lacks.
     pub(crate) fn ranges(
         &self,
         stage: &StageInfo,
         objectives: &[ObjectiveId],
     ) -> Result<Vec<AxisRange>, ScopeError> {
         let bad = |what: String| Err(ScopeError::BadSetting { what });
+        for axis in &stage.axes {
+            axis.check()?;
+        }
         let known = |id: &ObjectiveId| objectives.contains(id);
         let axis = |axis: Axis| {
             stage
@@ -141,13 +144,14 @@ impl Rules {
             }
             let own = narrowed(&ranges, limits, stage)?;
             if let ChangeRule::Retracted { z, .. } = self.change
-                && own
-                    .iter()
-                    .any(|r| r.axis == Axis::Z && !(r.min..=r.max).contains(&z))
+                && let Some(room) = own.iter().find(|r| r.axis == Axis::Z)
+                && !holds_retreat(room, z, stage)
             {
                 return bad(format!(
-                    "the limits of {id} leave out the height at which objectives change, z = {:.1} um",
-                    z * 1e6
+                    "the limits of {id} leave out the height at which objectives change, z = {:.1} um, and {:.1} um beyond it, which a \
+                     retreat needs",
+                    z * 1e6,
+                    clearance(stage) * 1e6
                 ));
             }
         }
@@ -181,14 +185,16 @@ impl Rules {
         if let ChangeRule::Retracted { z, margin } = self.change {
             let info = axis(Axis::Z)?;
             let range = ranges.iter().find(|r| r.axis == Axis::Z);
-            let inside = range.is_some_and(|r| (r.min..=r.max).contains(&z));
+            let inside = range.is_some_and(|r| holds_retreat(r, z, stage));
             if !(margin.is_finite() && margin >= 0.0) {
                 return bad("the margin of an objective change must not be negative".into());
             }
             if !inside {
                 return bad(format!(
-                    "objectives are to change at z = {:.1} um, which is outside the limits of z, {:.1} to {:.1} um",
+                    "objectives are to change from z = {:.1} um on, and a retreat goes {:.1} um beyond that, farther than z repeats to: \
+                     this is outside the limits of z, {:.1} to {:.1} um",
                     z * 1e6,
+                    clearance(stage) * 1e6,
                     range.map_or(info.min, |r| r.min) * 1e6,
                     range.map_or(info.max, |r| r.max) * 1e6
                 ));
@@ -205,6 +211,18 @@ impl Rules {
         let ids: Vec<ObjectiveId> = objectives.iter().map(|o| o.id.clone()).collect();
         self.ranges(stage, &ids).map(drop)
     }
+}
+
+fn clearance(stage: &StageInfo) -> f64 {
+    stage.axis(Axis::Z).map_or(0.0, AxisInfo::clearance)
+}
+
+/// Whether a range of z holds the height from which on the nosepiece may turn, and where a retreat to it goes.
+fn holds_retreat(range: &AxisRange, z: f64, stage: &StageInfo) -> bool {
+    let beyond = stage.positive_z.away(z, clearance(stage));
+    [z, beyond]
+        .iter()
+        .all(|z| (range.min..=range.max).contains(z))
 }
 
 /// `ranges` narrowed by `limits`.

@@ -128,6 +128,24 @@ impl StagePose {
     }
 }
 
+impl fmt::Display for StagePose {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut between = "";
+        for axis in Axis::ALL {
+            if let Some(si) = self.si(axis) {
+                write!(
+                    f,
+                    "{between}{axis} = {:.2} {}",
+                    axis.to_display(si),
+                    axis.display_unit()
+                )?;
+                between = ", ";
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Which side moves, and in which order the axes are stacked. This decides how a move changes the picture; the
 /// equations are in CONVENTIONS.md.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -162,6 +180,81 @@ pub struct AxisInfo {
     pub max: f64,
     /// Half-width of the interval in which repeated arrivals at one place end.
     pub repeatability: f64,
+    /// How far from its goal the axis may say that it has settled, where its driver states that.
+    #[serde(default)]
+    pub arrival_tolerance: Option<f64>,
+}
+
+/// What is nearer than this is the same place, whatever the axis repeats to: 1 um.
+const LEAST_M: f64 = 1e-6;
+/// The same for rotations: 0.005 deg.
+const LEAST_RAD: f64 = 0.005 * std::f64::consts::PI / 180.0;
+/// Arrivals that scatter by more are no stage's of a microscope, but a unit's that is wrong: 50 um.
+const WORST_M: f64 = 50e-6;
+/// The same for rotations: 1 deg.
+const WORST_RAD: f64 = std::f64::consts::PI / 180.0;
+/// The same as a share of the travel.
+const WORST_SHARE: f64 = 0.1;
+/// An arrival is judged by so many times the repeatability. A stepper states at least half a step, so this is two steps of it or more.
+const SCATTERS: f64 = 4.0;
+
+impl AxisInfo {
+    /// How far from a place the axis may say that it is and still be there, m or rad: what its driver states, or four times its
+    /// repeatability, at least 1 um or 0.005 deg. Goals, limits and zones are all judged by it.
+    pub fn tolerance(&self) -> f64 {
+        let least = if self.axis.is_rotation() {
+            LEAST_RAD
+        } else {
+            LEAST_M
+        };
+        self.arrival_tolerance
+            .unwrap_or((SCATTERS * self.repeatability).max(least))
+    }
+
+    /// How far beyond a height a retreat goes, so that it ends beyond it whatever the axis scatters, m: four times its
+    /// repeatability, at least 1 um.
+    pub fn clearance(&self) -> f64 {
+        (SCATTERS * self.repeatability).max(LEAST_M)
+    }
+
+    /// Whether the numbers of this axis are possible.
+    ///
+    /// # Errors
+    /// [`ScopeError::BadSetting`].
+    pub fn check(&self) -> Result<(), ScopeError> {
+        let (axis, unit) = (self.axis, self.axis.display_unit());
+        let bad = |what: String| Err(ScopeError::BadSetting { what });
+        if !(self.min <= self.max && self.min.is_finite() && self.max.is_finite()) {
+            return bad(format!("{axis} must have its min below its max"));
+        }
+        let worst = if axis.is_rotation() {
+            WORST_RAD
+        } else {
+            WORST_M
+        };
+        let most = worst.min(WORST_SHARE * (self.max - self.min));
+        let shown = |si: f64| format!("{} {unit}", (axis.to_display(si) * 1e6).round() / 1e6);
+        // What is no number is not known to be small.
+        if !(0.0..=most).contains(&self.repeatability) {
+            return bad(format!(
+                "the repeatability of {axis} is {}; it must not be negative, and {} is the most that is believed: {} or a tenth of the \
+                 travel. Look at its unit: it is the half-width of the interval in which arrivals end, in {unit}",
+                shown(self.repeatability),
+                shown(most),
+                shown(worst),
+            ));
+        }
+        if let Some(tolerance) = self.arrival_tolerance
+            && !(tolerance > 0.0 && tolerance <= SCATTERS * most)
+        {
+            return bad(format!(
+                "the arrival tolerance of {axis} is {}; it must be above 0 and at most {}. Look at its unit: {unit}",
+                shown(tolerance),
+                shown(SCATTERS * most),
+            ));
+        }
+        Ok(())
+    }
 }
 
 /// What a stage is.
@@ -242,6 +335,59 @@ mod tests {
         }
         for (i, axis) in Axis::ALL.into_iter().enumerate() {
             assert_eq!(pose.si(axis), Some(i as f64 + 0.5));
+        }
+    }
+
+    fn axis(repeatability_um: f64, travel_um: f64) -> AxisInfo {
+        AxisInfo {
+            axis: Axis::Z,
+            min: 0.0,
+            max: travel_um * 1e-6,
+            repeatability: repeatability_um * 1e-6,
+            arrival_tolerance: None,
+        }
+    }
+
+    #[test]
+    fn an_arrival_is_judged_by_four_scatters_and_a_micrometre_at_least() {
+        assert_eq!(axis(0.0, 1e3).tolerance(), 1e-6);
+        assert!((axis(5.0, 1e3).tolerance() - 20e-6).abs() < 1e-12);
+        let stated = AxisInfo {
+            arrival_tolerance: Some(3e-6),
+            ..axis(5.0, 1e3)
+        };
+        assert_eq!(stated.tolerance(), 3e-6);
+        // However little the axis claims to need, a retreat goes past what it scatters.
+        assert!((stated.clearance() - 20e-6).abs() < 1e-12);
+        let turns = AxisInfo {
+            axis: Axis::Rz,
+            ..axis(0.0, 1e6)
+        };
+        assert!((Axis::Rz.to_display(turns.tolerance()) - 0.005).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_repeatability_above_50_um_or_a_tenth_of_the_travel_is_refused() {
+        for (repeatability_um, travel_um, believed) in [
+            (0.0, 1.0, true),
+            (50.0, 1e4, true),
+            (50.1, 1e4, false),
+            (600.0, 4e4, false),
+            (10.0, 100.0, true),
+            (10.1, 100.0, false),
+            (1.0, 1.0, false),
+            (-1.0, 1e4, false),
+            (f64::NAN, 1e4, false),
+        ] {
+            let answer = axis(repeatability_um, travel_um).check();
+            assert_eq!(answer.is_ok(), believed, "{repeatability_um} {answer:?}");
+        }
+        for tolerance in [0.0, -1e-6, f64::NAN, 201e-6] {
+            let stated = AxisInfo {
+                arrival_tolerance: Some(tolerance),
+                ..axis(5.0, 1e4)
+            };
+            assert!(stated.check().is_err(), "{tolerance}");
         }
     }
 

@@ -3,9 +3,10 @@
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 use scopeservo_scope::{
-    Absent, Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, Instrument, Kinematics,
-    LargestStep, Length, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ,
-    Rules, ScopeError, Stage, StageInfo, StagePose, Timestamp, VirtualClock, Workspace, Zone,
+    Absent, Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, ErrorKind, Instrument,
+    Kinematics, LargestStep, Length, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId,
+    PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose, Timestamp, VirtualClock, Workspace,
+    Zone,
 };
 use std::collections::BTreeMap;
 use std::sync::mpsc;
@@ -23,7 +24,7 @@ const RETRACTED: f64 = -5e-3;
 const STEP: f64 = 6e-3;
 const CLAMP: [f64; 2] = [4e-3, 6e-3];
 const CLAMP_Z: f64 = -3e-3;
-/// Nearer than this two heights are the same to the gate.
+/// By this much a place that is reported may miss.
 const SLACK: f64 = 1.1e-6;
 const OBJECTIVES: [&str; 2] = ["10x", "40x"];
 
@@ -41,8 +42,22 @@ struct World {
     stopped: bool,
     objective: Option<usize>,
     turning: Option<(usize, u32)>,
+    /// The height at which the last turn began.
+    turned_at: Option<f64>,
     fault: Option<Fault>,
+    /// An obstacle beyond which an axis does not go.
+    wall: Option<(usize, [f64; 2])>,
+    /// What moves along x or y lifts z by this.
+    lifts: f64,
+    /// What it says of an axis is off by this.
+    says: Option<(usize, f64)>,
+    /// It takes stops, and goes on.
+    deaf: bool,
+    /// The devices have broken rules by themselves: from now on only what is begun is judged.
+    excused: bool,
     broken: Vec<String>,
+    /// The goals of the last move.
+    asked: Option<[Option<f64>; 3]>,
     begun: u32,
     stops: u32,
 }
@@ -54,6 +69,30 @@ enum Fault {
     Start,
     NosepiecePoll,
     NosepieceCurrent,
+    /// From now on.
+    Wall(usize, [f64; 2]),
+    Lifts(f64),
+    Says(usize, f64),
+    Deaf(bool),
+    /// Nothing is wrong any more, where it stands.
+    Mended,
+}
+
+impl Fault {
+    /// What breaks for longer than one call.
+    fn lasts(self, world: &mut World) -> bool {
+        match self {
+            Fault::Wall(axis, between) => world.wall = Some((axis, between)),
+            Fault::Lifts(by) => (world.lifts, world.excused) = (by, true),
+            Fault::Says(axis, by) => (world.says, world.excused) = (Some((axis, by)), true),
+            Fault::Deaf(deaf) => world.deaf = deaf,
+            Fault::Mended => {
+                (world.wall, world.lifts, world.says, world.deaf) = (None, 0.0, None, false)
+            }
+            _ => return false,
+        }
+        true
+    }
 }
 
 impl World {
@@ -64,14 +103,80 @@ impl World {
             stopped: false,
             objective: Some(0),
             turning: None,
+            turned_at: None,
             fault: None,
+            wall: None,
+            lifts: 0.0,
+            says: None,
+            deaf: false,
+            excused: false,
             broken: Vec::new(),
+            asked: None,
             begun: 0,
             stops: 0,
         }
     }
 
+    /// Where the stage says it is.
+    fn said(&self) -> [f64; 3] {
+        let mut said = self.at;
+        if let Some((axis, by)) = self.says {
+            said[axis] += by;
+        }
+        said
+    }
+
+    /// Judges what begins, by what the devices say: a move to a goal, or a turn.
+    fn judge(&mut self, goal: Option<[f64; 3]>) {
+        let from = self.said();
+        let tops = match self.objective {
+            Some(0) => [LIMIT; 3],
+            _ => [NARROW_X, LIMIT, NARROW],
+        };
+        let outside = |at: [f64; 3], slack: f64| -> Vec<usize> {
+            let out = |k: &usize| !(at[*k] <= tops[*k] + slack && at[*k] >= -LIMIT - slack);
+            (0..3).filter(out).collect()
+        };
+        let in_clamp = |at: [f64; 3]| {
+            let over = |v: f64| (CLAMP[0]..=CLAMP[1]).contains(&v);
+            over(at[0]) && over(at[1]) && at[2] > CLAMP_Z + SLACK
+        };
+        let possible = from.iter().all(|v| v.abs() <= TRAVEL + SLACK);
+        if !possible {
+            self.broken
+                .push(format!("something begins at {from:?}, where no stage is"));
+        }
+        let out = outside(from, SLACK);
+        let Some(goal) = goal else {
+            if !out.is_empty() || in_clamp(from) || from[2] > RETRACTED + SLACK {
+                self.broken
+                    .push(format!("it turns at {from:?}, as it says"));
+            }
+            return;
+        };
+        let moved: Vec<usize> = (0..3).filter(|&k| goal[k] != from[k]).collect();
+        let nearer = |k: &usize| out.contains(k) && goal[*k].abs() < from[*k].abs();
+        let retreat = moved == [2] && goal[2] < from[2];
+        let beyond = outside(goal, 0.0);
+        if beyond.iter().any(|k| moved.contains(k) && !nearer(k)) {
+            self.broken
+                .push(format!("from {from:?} to {goal:?}, which is outside"));
+        }
+        let too_near = from[2] > tops[2] + SLACK || in_clamp(from);
+        let back = outside(goal, SLACK).is_empty() || moved.iter().all(nearer);
+        if !retreat && (too_near || !out.is_empty() && !back) {
+            self.broken
+                .push(format!("from {from:?}, which is outside, to {goal:?}"));
+        }
+    }
+
     fn look(&mut self) {
+        if self.turning.is_some() && self.way.is_some() {
+            self.broken.push("moves while it turns".into());
+        }
+        if self.excused {
+            return;
+        }
         let [x, y, z] = self.at;
         for (axis, v) in AXES.iter().zip(self.at) {
             if v.abs() > LIMIT + 1e-12 {
@@ -88,9 +193,6 @@ impl World {
         }
         if self.turning.is_some() && z > RETRACTED + SLACK {
             self.broken.push(format!("turns at z = {z}"));
-        }
-        if self.turning.is_some() && self.way.is_some() {
-            self.broken.push("moves while it turns".into());
         }
     }
 
@@ -142,6 +244,7 @@ impl Devices {
             min: -TRAVEL,
             max: TRAVEL,
             repeatability: 0.0,
+            arrival_tolerance: None,
         };
         let objective = |id: &&str| Objective {
             id: ObjectiveId((*id).into()),
@@ -177,7 +280,7 @@ impl Stage for Devices {
     fn position(&self) -> Result<StagePose, ScopeError> {
         let mut world = self.world();
         world.fails(Fault::Position)?;
-        Ok(pose(world.at))
+        Ok(pose(world.said()))
     }
     fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
         let mut world = self.world();
@@ -185,21 +288,31 @@ impl Stage for Devices {
         if world.way.is_some() {
             world.broken.push("a move on top of a move".into());
         }
-        let from = world.at;
-        let goal = [0, 1, 2].map(|k| to.si(AXES[k]).unwrap_or(from[k]));
-        let retreat = goal[0] == from[0] && goal[1] == from[1] && goal[2] <= from[2];
+        let said = world.said();
+        let asked = [0, 1, 2].map(|k| to.si(AXES[k]).unwrap_or(said[k]));
+        world.judge(Some(asked));
+        let retreat = asked[0] == said[0] && asked[1] == said[1] && asked[2] <= said[2];
         for k in 0..3 {
-            if (goal[k] - from[k]).abs() > STEP && !(retreat && k == 2) {
+            if (asked[k] - said[k]).abs() > STEP && !(retreat && k == 2) {
                 world
                     .broken
-                    .push(format!("a step from {from:?} to {goal:?}"));
+                    .push(format!("a step from {said:?} to {asked:?}"));
             }
+        }
+        let from = world.at;
+        let mut goal = [0, 1, 2].map(|k| from[k] + (asked[k] - said[k]));
+        if let Some((axis, [low, high])) = world.wall {
+            goal[axis] = goal[axis].clamp(low.min(from[axis]), high.max(from[axis]));
+        }
+        if goal[0] != from[0] || goal[1] != from[1] {
+            goal[2] += world.lifts;
         }
         world.way = Some(Way {
             from,
             to: goal,
             done: [0.0; 3],
         });
+        world.asked = Some(AXES.map(|axis| to.si(axis)));
         world.stopped = false;
         world.begun += 1;
         world.look();
@@ -216,8 +329,11 @@ impl Stage for Devices {
     }
     fn stop(&self) -> Result<(), ScopeError> {
         let mut world = self.world();
-        world.stopped |= world.way.take().is_some();
         world.stops += 1;
+        if world.deaf {
+            return Ok(());
+        }
+        world.stopped |= world.way.take().is_some();
         Ok(())
     }
 }
@@ -240,6 +356,8 @@ impl Nosepiece for Devices {
         if world.turning.is_some() {
             world.broken.push("a change on top of a change".into());
         }
+        world.judge(None);
+        world.turned_at = Some(world.at[2]);
         world.objective = None;
         world.turning = Some((index, 3));
         world.begun += 1;
@@ -310,6 +428,8 @@ enum Command {
     Change(&'static str),
     Stop,
     Wait(u32),
+    /// Waits until the stage says that it stands, and asks whether it arrived.
+    Arrive,
     Fault(Fault),
 }
 
@@ -335,14 +455,59 @@ fn command() -> impl Strategy<Value = Command> {
         Fault::NosepiecePoll,
         Fault::NosepieceCurrent,
     ];
+    let lasting = vec![
+        Fault::Wall(0, [-1e-3, 1e-3]),
+        Fault::Wall(2, [-1.0, -4e-3]),
+        Fault::Lifts(3e-3),
+        Fault::Lifts(-3e-3),
+        Fault::Says(0, 1e-3),
+        Fault::Says(2, -2e-3),
+        Fault::Says(1, 1e300),
+        Fault::Says(2, f64::NAN),
+        Fault::Deaf(true),
+        Fault::Mended,
+        Fault::Mended,
+        Fault::Mended,
+    ];
     prop_oneof![
         8 => [place(), place(), place()].prop_map(Command::Move),
         2 => Just(Command::Move([None, None, Some(RETRACTED)])),
         4 => prop::sample::select(vec!["10x", "40x", "100x"]).prop_map(Command::Change),
         2 => Just(Command::Stop),
         6 => (1u32..9).prop_map(Command::Wait),
+        4 => Just(Command::Arrive),
         2 => prop::sample::select(faults).prop_map(Command::Fault),
+        2 => prop::sample::select(lasting).prop_map(Command::Fault),
     ]
+}
+
+/// What the gate says of an arrival, against what the stage says.
+fn arrive(gate: &MotionGate, devices: &Devices) {
+    while devices.world().way.is_some() {
+        devices.world().tick();
+    }
+    let stops = devices.world().stops;
+    let answer = gate.arrived();
+    let mut world = devices.world();
+    match answer {
+        Ok(at) => {
+            let said = world.said();
+            assert_eq!(at, pose(said));
+            if let Some(asked) = world.asked {
+                let near = |k: usize| asked[k].is_none_or(|goal| (said[k] - goal).abs() < SLACK);
+                let there = (0..3).all(near);
+                if !there && !world.stopped {
+                    world
+                        .broken
+                        .push(format!("sent to {asked:?}, arrived at {said:?}"));
+                }
+            }
+        }
+        Err(error) => {
+            assert_eq!(error.kind(), ErrorKind::Fault, "{error}");
+            assert!(world.stops > stops, "{error}: it was not told to stop");
+        }
+    }
 }
 
 /// Carries out a command. What is refused must not have begun anything.
@@ -360,11 +525,19 @@ fn obey(gate: &MotionGate, devices: &Devices, command: &Command) {
         Command::Stop => {
             gate.stop().unwrap();
             let world = devices.world();
-            assert!(world.way.is_none() && world.turning.is_none());
+            assert!(world.way.is_none() || world.deaf);
+            assert!(world.turning.is_none());
             return;
         }
+        Command::Arrive => return arrive(gate, devices),
         Command::Wait(ticks) => return (0..*ticks).for_each(|_| devices.world().tick()),
-        Command::Fault(fault) => return devices.world().fault = Some(*fault),
+        Command::Fault(fault) => {
+            let mut world = devices.world();
+            if !fault.lasts(&mut world) {
+                world.fault = Some(*fault);
+            }
+            return;
+        }
     };
     if answer.is_err() {
         assert_eq!(devices.world().begun, before, "{answer:?}");
@@ -418,6 +591,25 @@ fn the_recorder_would_notice() {
     ] {
         assert!(broken.contains(rule), "{rule}: {broken}");
     }
+    // And what begins where a fault has taken the stage, by what it says.
+    for (fault, rule) in [
+        (Fault::Says(0, 1e300), "where no stage is"),
+        (Fault::Says(0, f64::NAN), "where no stage is"),
+        (Fault::Says(2, 13.1e-3), "which is outside"),
+    ] {
+        let devices = Devices::new();
+        assert!(fault.lasts(&mut devices.world()));
+        let sideways = StagePose::default().with_si(Axis::Y, 1e-3);
+        Stage::start_move(&devices, &sideways).unwrap();
+        Nosepiece::start_change(&devices, &id("40x")).unwrap();
+        let broken = devices.world().broken.join("; ");
+        assert!(broken.contains(rule), "{rule}: {broken}");
+    }
+    let turns = Devices::new();
+    assert!(Fault::Says(2, 1e-3).lasts(&mut turns.world()));
+    Nosepiece::start_change(&turns, &id("40x")).unwrap();
+    let broken = turns.world().broken.join("; ");
+    assert!(broken.contains("as it says"), "{broken}");
 }
 
 #[test]
@@ -595,6 +787,55 @@ fn after_a_change_it_comes_back_in_allowed_steps_and_short_of_an_unknown_focus()
         "{:?}",
         devices.world().broken
     );
+}
+
+#[test]
+fn a_cheap_focus_drive_retreats_farther_and_never_turns_short_of_the_height() {
+    const RULE: f64 = -100e-6;
+    let rules = |z: f64| Rules {
+        change: ChangeRule::Retracted { z, margin: 0.0 },
+        ..Rules::travel_only(ChangeRule::Anywhere)
+    };
+    let mut devices = Devices::new();
+    devices.info.axes[2].repeatability = 25e-6;
+    devices.world().at[2] = 0.0;
+    let scope = Instrument::new(
+        devices.gate(rules(RULE)),
+        Box::new(Absent::new()),
+        Arc::new(Ticking {
+            clock: VirtualClock::new(),
+            devices: devices.clone(),
+        }),
+        CancelToken::new(),
+    );
+    // Its scatter is wider than what is to be retracted: that is no reason to turn here.
+    let refused = scope.gate().start_change(&id("40x"));
+    assert!(
+        matches!(refused, Err(ScopeError::NotRetracted { .. })),
+        "{refused:?}"
+    );
+    devices.world().excused = true;
+    scope.select_objective(&id("40x")).unwrap();
+    let turned = devices.world().turned_at;
+    assert!((turned.unwrap() + 200e-6).abs() < 1e-9, "{turned:?}");
+    // A micrometre short counts, and no more, whatever z scatters.
+    for (at, turns) in [(RULE + 1.1e-6, false), (RULE + 0.9e-6, true)] {
+        devices.world().at[2] = at;
+        let answer = scope.gate().start_change(&id("10x"));
+        assert_eq!(answer.is_ok(), turns, "{at}: {answer:?}");
+    }
+    // No room beyond the height for that.
+    let room = MotionGate::new(
+        Box::new(devices.clone()),
+        Box::new(devices.clone()),
+        rules(-TRAVEL + 50e-6),
+    );
+    let said = room.err().unwrap().to_string();
+    assert!(said.contains("100.0 um beyond"), "{said}");
+    devices.info.axes[2].repeatability = 600e-6;
+    let said = MotionGate::new(Box::new(devices.clone()), Box::new(devices), rules(RULE));
+    let said = said.err().unwrap().to_string();
+    assert!(said.contains("repeatability of z is 600 um"), "{said}");
 }
 
 /// A clock that lets the world go on while somebody sleeps.

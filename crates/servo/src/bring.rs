@@ -2,7 +2,7 @@
 //! be the one.
 
 use crate::event::tell;
-use crate::procedure::{Procedure, Progress};
+use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::{
     Event, Focus, FocusOptions, FocusResult, Identify, Phase, ServoError, Sink, VisionOptions,
 };
@@ -66,10 +66,8 @@ impl Bring {
     }
 }
 
-impl Procedure for Bring {
-    type Output = Option<FocusResult>;
-
-    fn step(
+impl Bring {
+    fn advance(
         &mut self,
         scope: &Instrument,
         sink: &mut dyn Sink,
@@ -125,5 +123,18 @@ impl Procedure for Bring {
             }
         }
         Ok(Progress::Continue)
+    }
+}
+
+impl Procedure for Bring {
+    type Output = Option<FocusResult>;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Option<FocusResult>>, ServoError> {
+        let ended = self.advance(scope, sink);
+        withdrawn(scope, ended)
     }
 }

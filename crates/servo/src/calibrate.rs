@@ -4,7 +4,7 @@
 use crate::event::tell;
 use crate::hand_eye::{Observation, covariance, explained_px, solve_hand_eye};
 use crate::kinematics::PlanarPose;
-use crate::procedure::{Procedure, Progress};
+use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::{centre_px, features, grab, gray, same_objective};
 use crate::{CALIBRATION_SCHEMA, Calibration, Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
@@ -318,10 +318,8 @@ fn no_reference() -> ServoError {
     ServoError::BadOption("a stored calibration state has no reference view; start it anew".into())
 }
 
-impl Procedure for Calibrate {
-    type Output = Calibration;
-
-    fn step(
+impl Calibrate {
+    fn advance(
         &mut self,
         scope: &Instrument,
         sink: &mut dyn Sink,
@@ -374,5 +372,18 @@ impl Procedure for Calibrate {
             }
         }
         Ok(Progress::Continue)
+    }
+}
+
+impl Procedure for Calibrate {
+    type Output = Calibration;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Calibration>, ServoError> {
+        let ended = self.advance(scope, sink);
+        withdrawn(scope, ended)
     }
 }

@@ -93,6 +93,23 @@ pub enum ServoError {
         /// How far the stage moved.
         moved_um: f64,
     },
+    /// A step went much farther than it was asked to.
+    #[error(
+        "the stage was asked to go {asked_um:.3} um, and {}: it goes much farther than it says, so look at its unit and its steps per \
+         millimetre before it moves again",
+        seen_px.map_or("the view was gone".to_owned(), |px| format!("the picture shifted by {px:.0} pixels"))
+    )]
+    MovesTooFar {
+        /// The step that was asked for.
+        asked_um: f64,
+        /// How far the picture went; `None` when it was not found again.
+        seen_px: Option<f64>,
+    },
+    /// Two pictures of one place have too little in common to tell whether it moves.
+    #[error(
+        "two pictures of one place have too little in common to tell whether the view moves: put in a specimen with structure, in focus"
+    )]
+    NothingToFollow,
     /// The stage scatters too much for a move that stays in the field.
     #[error(
         "whether {objective} is in the beam could not be told: the stage arrives to within {scatter_um:.1} um, and a move of \
@@ -159,6 +176,16 @@ pub enum ServoError {
         rival: Rival,
         /// Size of a pixel, um, if known.
         um_per_px: Option<f64>,
+    },
+    /// Something failed, and the stage could not be taken back from the specimen to where the command began.
+    #[error(
+        "{error}. And the stage may stand nearer to the specimen than it did before, as it could not be taken back: {why}"
+    )]
+    StaysNear {
+        /// What failed.
+        error: Box<ServoError>,
+        /// Why the stage stays.
+        why: ScopeError,
     },
     /// A setting that makes no sense.
     #[error("{0}")]

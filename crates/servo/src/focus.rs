@@ -2,10 +2,11 @@
 //! luminance.
 //!
 //! The sweep is done twice, coarse over the candidate range and fine around its best, and the peak is a parabola through
-//! the best samples. A sweep without a peak is an answer of its own: the stage goes back to where it started.
+//! the best samples. A sweep without a peak is an answer of its own: the stage goes back to where it started. Heights are those that the
+//! stage says it is at, and towards the specimen there is a bound that no sweep passes.
 
 use crate::event::tell;
-use crate::procedure::{Procedure, Progress};
+use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::grab;
 use crate::{Event, FrameRole, ServoError, Sink};
 use scopeservo_scope::{Axis, Frame, Instrument, Length, Objective, ScopeError, StagePose};
@@ -17,6 +18,9 @@ use serde::{Deserialize, Serialize};
 pub struct FocusOptions {
     /// Half-width of the candidate range around the present height, um.
     pub half_range_um: f64,
+    /// No sweep goes nearer to the specimen than this from where the focus began, um. Where the best view lies at an end of the range
+    /// it is looked for up to two half-widths farther on that side, as far as this allows.
+    pub nearest_um: f64,
     /// Coarse step in depths of field (`wavelength / NA^2`), at most a tenth of the range.
     pub coarse_depths: f64,
     /// Wavelength for the depth of field, um.
@@ -29,6 +33,7 @@ impl Default for FocusOptions {
     fn default() -> Self {
         Self {
             half_range_um: 40.0,
+            nearest_um: 120.0,
             coarse_depths: 2.0,
             wavelength_um: 0.55,
             min_contrast: 1.04,
@@ -116,13 +121,27 @@ impl Focus {
         (self.options.coarse_depths * depth).min(self.options.half_range_um / 5.0)
     }
 
-    /// Heights from `from` to `to` that the stage can reach.
-    fn plan(scope: &Instrument, from: f64, to: f64, step: f64) -> Vec<f64> {
+    /// Heights from `from` to `to` that the stage may go to, and that are not beyond the bound.
+    fn plan(
+        &self,
+        scope: &Instrument,
+        start_um: f64,
+        [from, to]: [f64; 2],
+        step: f64,
+    ) -> Result<Vec<f64>, ServoError> {
         let count = ((to - from) / step).round().max(1.0) as usize;
-        (0..=count)
+        let nearer = |z: f64| scope.gate().info().positive_z.nearer_by(z, start_um);
+        let heights: Vec<f64> = (0..=count)
             .map(|k| from + (to - from) * k as f64 / count as f64)
-            .filter(|&z| scope.gate().check(&height(z)).is_ok())
-            .collect()
+            // So that rounding does not leave out the bound itself.
+            .filter(|&z| nearer(z) <= self.options.nearest_um + 1e-6)
+            .collect();
+        let places: Vec<StagePose> = heights.iter().map(|&z| height(z)).collect();
+        let allowed = scope.gate().allowed(&places)?;
+        let both = heights.into_iter().zip(allowed);
+        Ok(both
+            .filter_map(|(z, allowed)| allowed.then_some(z))
+            .collect())
     }
 
     fn best(&self) -> usize {
@@ -153,7 +172,7 @@ impl Focus {
         };
         self.contrast = peak[1] / least.max(1e-12);
         if self.contrast < self.options.min_contrast {
-            scope.move_to(&height(start_um))?;
+            scope.return_to_height(Length::from_um(start_um))?;
             return Err(self.no_focus());
         }
         let (z, step) = (peak[0], self.coarse_step_um());
@@ -162,27 +181,102 @@ impl Focus {
             // The peak may lie beyond: look half a range further on that side.
             self.extended += 1;
             let reach = self.options.half_range_um;
-            self.plan_um = if best == 0 {
-                Self::plan(scope, z - reach, z - step, step)
-            } else {
-                Self::plan(scope, z + step, z + reach, step)
+            let beyond = match best == 0 {
+                true => [z - reach, z - step],
+                false => [z + step, z + reach],
             };
+            self.plan_um = self.plan(scope, start_um, beyond, step)?;
             if !self.plan_um.is_empty() {
                 return Ok(());
             }
         }
         if at_end {
             // Still rising where the sweep ends: that is no peak.
-            scope.move_to(&height(start_um))?;
+            scope.return_to_height(Length::from_um(start_um))?;
             return Err(self.no_focus());
         }
         self.pass = Pass::Fine;
         self.samples.clear();
-        self.plan_um = Self::plan(scope, z - 1.5 * step, z + 1.5 * step, step / 4.0);
+        let around = [z - 1.5 * step, z + 1.5 * step];
+        self.plan_um = self.plan(scope, start_um, around, step / 4.0)?;
         Ok(())
+    }
+
+    /// Goes to a height, and tells where the stage then says it is.
+    fn go(scope: &Instrument, z_um: f64) -> Result<f64, ServoError> {
+        let at = scope.move_to(&height(z_um))?.z;
+        let at = at.ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
+        Ok(at.um())
+    }
+
+    fn advance(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<FocusResult>, ServoError> {
+        if scope.gate().info().axis(Axis::Z).is_none() {
+            return Ok(Progress::Done(FocusResult {
+                z_um: None,
+                sharpness: 0.0,
+                contrast: 1.0,
+                samples: 0,
+            }));
+        }
+        let start_um = match self.start_um {
+            Some(z) => z,
+            None => {
+                let here = scope.gate().position()?;
+                // A stage that stands outside is told so, and not that it sees no focus.
+                scope.gate().check(&here)?;
+                let z = here.z.ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
+                let (z, reach) = (z.um(), self.options.half_range_um);
+                self.start_um = Some(z);
+                let step = self.coarse_step_um();
+                self.plan_um = self.plan(scope, z, [z - reach, z + reach], step)?;
+                z
+            }
+        };
+        if self.pass == Pass::Approach {
+            // From below, like every sample, so that play in the focus drive does not matter.
+            self.samples.sort_by(|a, b| a[0].total_cmp(&b[0]));
+            let best = self.best();
+            let z = peak_of(&self.samples, best);
+            let below = height(z - 2.0 * self.coarse_step_um());
+            if scope.gate().check(&below).is_ok() {
+                scope.move_to(&below)?;
+            }
+            let z = Self::go(scope, z)?;
+            scope.focus_found(&self.objective.id, Length::from_um(z));
+            return Ok(Progress::Done(FocusResult {
+                z_um: Some(z),
+                sharpness: self.samples[best][1],
+                contrast: self.contrast,
+                samples: self.taken,
+            }));
+        }
+        if !self.plan_um.is_empty() {
+            let z = Self::go(scope, self.plan_um.remove(0))?;
+            let frame = grab(scope, sink, FrameRole::Focus, &self.objective.id)?;
+            let sharpness = sharpness(&frame);
+            tell(scope, sink, Event::FocusSample { z_um: z, sharpness });
+            self.samples.push([z, sharpness]);
+            self.taken += 1;
+        }
+        if self.plan_um.is_empty() {
+            match self.pass {
+                Pass::Coarse => self.coarse_done(scope, start_um)?,
+                _ if self.samples.is_empty() => {
+                    scope.return_to_height(Length::from_um(start_um))?;
+                    return Err(self.no_focus());
+                }
+                _ => self.pass = Pass::Approach,
+            }
+        }
+        Ok(Progress::Continue)
     }
 }
 
+/// The request for a height alone.
 fn height(z_um: f64) -> StagePose {
     StagePose {
         z: Some(Length::from_um(z_um)),
@@ -216,65 +310,8 @@ impl Procedure for Focus {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<FocusResult>, ServoError> {
-        if scope.gate().info().axis(Axis::Z).is_none() {
-            return Ok(Progress::Done(FocusResult {
-                z_um: None,
-                sharpness: 0.0,
-                contrast: 1.0,
-                samples: 0,
-            }));
-        }
-        let start_um = match self.start_um {
-            Some(z) => z,
-            None => {
-                let z = scope
-                    .gate()
-                    .position()?
-                    .z
-                    .ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
-                let (z, reach) = (z.um(), self.options.half_range_um);
-                self.start_um = Some(z);
-                self.plan_um = Self::plan(scope, z - reach, z + reach, self.coarse_step_um());
-                z
-            }
-        };
-        if self.pass == Pass::Approach {
-            // From below, like every sample, so that play in the focus drive does not matter.
-            let best = self.best();
-            let z = peak_of(&self.samples, best);
-            let below = height(z - 2.0 * self.coarse_step_um());
-            if scope.gate().check(&below).is_ok() {
-                scope.move_to(&below)?;
-            }
-            scope.move_to(&height(z))?;
-            scope.focus_found(&self.objective.id, Length::from_um(z));
-            return Ok(Progress::Done(FocusResult {
-                z_um: Some(z),
-                sharpness: self.samples[best][1],
-                contrast: self.contrast,
-                samples: self.taken,
-            }));
-        }
-        if !self.plan_um.is_empty() {
-            let z = self.plan_um.remove(0);
-            scope.move_to(&height(z))?;
-            let frame = grab(scope, sink, FrameRole::Focus, &self.objective.id)?;
-            let sharpness = sharpness(&frame);
-            tell(scope, sink, Event::FocusSample { z_um: z, sharpness });
-            self.samples.push([z, sharpness]);
-            self.taken += 1;
-        }
-        if self.plan_um.is_empty() {
-            match self.pass {
-                Pass::Coarse => self.coarse_done(scope, start_um)?,
-                _ if self.samples.is_empty() => {
-                    scope.move_to(&height(start_um))?;
-                    return Err(self.no_focus());
-                }
-                _ => self.pass = Pass::Approach,
-            }
-        }
-        Ok(Progress::Continue)
+        let ended = self.advance(scope, sink);
+        withdrawn(scope, ended)
     }
 }
 

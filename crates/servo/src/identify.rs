@@ -3,7 +3,7 @@
 
 use crate::event::tell;
 use crate::kinematics::PlanarPose;
-use crate::procedure::{Procedure, Progress};
+use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::{centre_px, features, grab, gray, same_objective};
 use crate::{Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
@@ -12,7 +12,7 @@ use scopeservo_scope::{Axis, ErrorKind, Instrument, Objective, ObjectiveId, Scop
 use serde::{Deserialize, Serialize};
 
 /// The move, as a share of the smallest field that any objective of the instrument has: it stays in the field whichever is in.
-const SHARE: f64 = 0.2;
+pub(crate) const SHARE: f64 = 0.2;
 /// The move is at least this many times what the stage scatters, if that leaves half of the field of the objective that was told.
 const SCATTERS: f64 = 20.0;
 /// The move is halved at most so often when the views are not found.
@@ -137,10 +137,8 @@ pub(crate) fn place(home: &PlanarPose, along: Vec2, step_m: f64, k: f64) -> Plan
     }
 }
 
-impl Procedure for Identify {
-    type Output = Identity;
-
-    fn step(
+impl Identify {
+    fn advance(
         &mut self,
         scope: &Instrument,
         sink: &mut dyn Sink,
@@ -226,5 +224,18 @@ impl Procedure for Identify {
         };
         tell(scope, sink, event);
         Ok(Progress::Done(identity))
+    }
+}
+
+impl Procedure for Identify {
+    type Output = Identity;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Identity>, ServoError> {
+        let ended = self.advance(scope, sink);
+        withdrawn(scope, ended)
     }
 }

@@ -24,6 +24,7 @@ mod reposition;
 pub mod servo;
 mod sight;
 mod target;
+mod trial;
 mod vision;
 
 pub use bring::Bring;
@@ -43,4 +44,5 @@ pub use reposition::{
 };
 pub use servo::{Servo, ServoEnd, ServoOptions, ServoResult, ServoTask};
 pub use target::{Picture, SaveOptions, SaveTarget, Target};
+pub use trial::{Drift, drift_seen, scale_seen};
 pub use vision::{Engine, VisionOptions};

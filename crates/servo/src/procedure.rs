@@ -1,7 +1,7 @@
 //! Step machines: the common shape of everything that takes time.
 
 use crate::{ServoError, Sink};
-use scopeservo_scope::Instrument;
+use scopeservo_scope::{ErrorKind, Instrument};
 
 /// What a step achieved.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,6 +26,29 @@ pub trait Procedure {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<Self::Output>, ServoError>;
+}
+
+/// What a procedure that looks for the focus, or for what needs one, leaves when it fails: a stage that does not stand nearer to the
+/// specimen than the command found it. After a stop that somebody asked for nothing moves.
+pub(crate) fn withdrawn<T>(
+    scope: &Instrument,
+    ended: Result<T, ServoError>,
+) -> Result<T, ServoError> {
+    let Err(error) = ended else { return ended };
+    let stopped = matches!(&error, ServoError::Scope(e) if e.kind() == ErrorKind::Interrupted);
+    match stopped || matches!(error, ServoError::StaysNear { .. }) {
+        true => Err(error),
+        false => match scope.withdraw() {
+            Ok(()) => Err(error),
+            Err(why) if why.kind() == ErrorKind::Interrupted => Err(why.into()),
+            // The same trouble as before is told once.
+            Err(why) if matches!(&error, ServoError::Scope(e) if *e == why) => Err(error),
+            Err(why) => Err(ServoError::StaysNear {
+                error: Box::new(error),
+                why,
+            }),
+        },
+    }
 }
 
 /// Steps until done.

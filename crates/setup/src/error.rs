@@ -42,6 +42,25 @@ pub enum SetupError {
     /// A driver cannot be started or found, or makes no sense.
     #[error(transparent)]
     Driver(#[from] DriverError),
+    /// Another program drives it.
+    #[error(
+        "{what} is driven by another program{}: end that first",
+        process.map_or(String::new(), |id| format!(", process {id}"))
+    )]
+    InUse {
+        /// Which driver.
+        what: String,
+        /// The number of that program's process, where it left it.
+        process: Option<u32>,
+    },
+    /// What tells other programs that this one drives an instrument cannot be written.
+    #[error("whether another program drives the instrument cannot be seen: {path}: {source}")]
+    Held {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
     /// A secret cannot be read.
     #[error("the secret in {path} cannot be used: {what}")]
     Secret {

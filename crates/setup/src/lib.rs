@@ -6,6 +6,7 @@
 mod by_hand;
 mod config;
 mod error;
+mod held;
 mod open;
 mod own;
 mod rules;
@@ -15,6 +16,7 @@ mod template;
 pub use by_hand::Ask;
 pub use config::{Config, DeviceName, DriverConfig, ObjectiveConfig, OwnConfig};
 pub use error::SetupError;
+pub use held::Held;
 pub use open::{Consent, Opened, open};
 pub use simulated::{TwinConfig, TwinStage};
 pub use template::{SCHEMA, TEMPLATE, TWIN_TEMPLATE};

@@ -3,13 +3,14 @@
 use crate::SetupError;
 use crate::by_hand::{Ask, ByHand};
 use crate::config::{Config, DriverConfig, ObjectiveConfig};
+use crate::held::Held;
 use crate::own;
 use crate::rules::rules;
 use crate::simulated::TwinConfig;
 use scopeservo_protocol::{Devices, Driver, Light, Secret};
 use scopeservo_scope::{
     Camera, CancelToken, Clock, Instrument, Motion, MotionGate, Nosepiece, Objective, ObjectiveId,
-    ScopeError, Stage, SystemClock, VirtualClock,
+    ScopeError, Stage, SystemClock, VirtualClock, stand_still,
 };
 use scopeservo_twin::{Twin, TwinError};
 use std::collections::BTreeMap;
@@ -42,12 +43,13 @@ pub struct Opened {
     pub drivers: Vec<(String, String)>,
 }
 
-/// Finds the drivers, puts the devices together behind their gate, and sets exposure and light. Nothing moves, but for homing that
+/// Takes the instrument for this program alone, finds the drivers, puts the devices together behind their gate, and sets exposure and light. Nothing moves, but for homing that
 /// is needed and was agreed to. `cancel` ends procedures and homing.
 ///
 /// # Errors
 /// [`SetupError`]; [`ScopeError::NotHomed`] within it when homing is needed and was not agreed to.
 pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<Opened, SetupError> {
+    let held = Held::take(config)?;
     let hurried = |d: &DriverConfig| d.twin.as_ref().is_some_and(|t| !t.real_time);
     // Somebody who turns a nosepiece does so in real time.
     let by_hand = config.devices.nosepiece == "by-hand";
@@ -110,7 +112,7 @@ pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<O
         .collect();
     let twin = all.into_values().find_map(|found| found.twin);
     Ok(Opened {
-        instrument: Instrument::new(gate, camera, clock, cancel),
+        instrument: Instrument::new(gate, camera, clock, cancel).keeping(held),
         light,
         twin,
         drivers,
@@ -169,7 +171,9 @@ impl Found {
         loop {
             if cancel.is_cancelled() {
                 stage.stop()?;
-                return Err(ScopeError::Interrupted { at: None });
+                let (poll, position) = (|| stage.poll(), || stage.position());
+                let at = stand_still(stage.info(), clock, &poll, &position)?;
+                return Err(ScopeError::Interrupted { at: Some(at) });
             }
             match stage.poll()? {
                 Motion::Settled => return Ok(()),

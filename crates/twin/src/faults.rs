@@ -28,6 +28,34 @@ pub enum StageFault {
         /// Difference between arriving from below and from above, m or rad.
         si: f64,
     },
+    /// An obstacle: the axis goes no farther either way, and says where it stands (m or rad).
+    Wall {
+        /// Which axis.
+        axis: Axis,
+        /// Where the obstacles are; `None` when they are gone.
+        between: Option<[f64; 2]>,
+    },
+    /// Every move of one axis takes another along by so much, which the stage says (m or rad).
+    TakesAlong {
+        /// The one that is moved.
+        axis: Axis,
+        /// The one that goes along.
+        along: Axis,
+        /// By how much; 0 when it is mended.
+        si: f64,
+    },
+    /// What the stage says of an axis is off by this much (m or rad).
+    Misreports {
+        /// Which axis.
+        axis: Axis,
+        /// By how much; 0 when it is mended.
+        si: f64,
+    },
+    /// Commands to stop are taken and not obeyed, or obeyed again.
+    IgnoresStop(
+        /// Whether they are ignored.
+        bool,
+    ),
     /// x, y and z creep at this rate from now on, in place of the present drift.
     Drift {
         /// Rate along x, y, z, um/s.

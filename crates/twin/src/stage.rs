@@ -92,6 +92,11 @@ pub(crate) struct StageState {
     backlash: Six,
     lost: Six,
     stuck: [Option<f64>; 6],
+    walls: [Option<[f64; 2]>; 6],
+    /// For each axis that is moved, another and how far it goes along.
+    along: [Option<(usize, f64)>; 6],
+    misreported: Six,
+    ignores_stop: bool,
     drift_rate: [f64; 3],
     drift_before: [f64; 3],
     drift_since: f64,
@@ -114,6 +119,10 @@ impl StageState {
             backlash,
             lost: [0.0; 6],
             stuck: [None; 6],
+            walls: [None; 6],
+            along: [None; 6],
+            misreported: [0.0; 6],
+            ignores_stop: false,
             drift_rate,
             drift_before: [0.0; 3],
             drift_since: now,
@@ -189,7 +198,8 @@ impl StageState {
         let mut pose = StagePose::default();
         for a in &self.config.axes {
             let i = index(a.axis);
-            pose = pose.with_si(a.axis, commanded[i] + last.encoder[i]);
+            let said = commanded[i] + last.encoder[i] + self.misreported[i];
+            pose = pose.with_si(a.axis, said);
         }
         pose
     }
@@ -267,12 +277,21 @@ impl StageState {
         let mut whole: f64 = 0.0;
         for a in &self.config.axes {
             let i = index(a.axis);
-            let Some(asked) = to.si(a.axis) else { continue };
-            goal[i] = asked;
-            if asked != from[i] {
+            goal[i] = to.si(a.axis).unwrap_or(goal[i]);
+            if let (true, Some((other, si))) = (goal[i] != from[i], self.along[i]) {
+                goal[other] += si;
+            }
+        }
+        for a in &self.config.axes {
+            let i = index(a.axis);
+            if let Some([low, high]) = self.walls[i] {
+                // What stands beyond an obstacle already can still come back.
+                goal[i] = goal[i].clamp(low.min(from[i]), high.max(from[i]));
+            }
+            if goal[i] != from[i] {
                 moved[i] = true;
-                self.direction[i] = (asked - from[i]).signum();
-                whole = whole.max((asked - from[i]).abs() / (a.speed * coarse_si(a.axis)));
+                self.direction[i] = (goal[i] - from[i]).signum();
+                whole = whole.max((goal[i] - from[i]).abs() / (a.speed * coarse_si(a.axis)));
             }
         }
         let any = moved.contains(&true);
@@ -313,6 +332,13 @@ impl StageState {
     }
 
     pub(crate) fn stop(&mut self, now: f64) {
+        if !self.ignores_stop {
+            self.halt(now);
+        }
+    }
+
+    /// Stops, whatever it obeys.
+    pub(crate) fn halt(&mut self, now: f64) {
         if self.motion(now) != Motion::Moving {
             return;
         }
@@ -354,6 +380,25 @@ impl StageState {
             let (c, e) = (self.last().commanded(now), self.last().error(now));
             self.stuck[i] = Some(c[i] + e[i] + self.lost[i]);
         }
+    }
+
+    pub(crate) fn set_wall(&mut self, axis: Axis, between: Option<[f64; 2]>) {
+        // What does not rise is no obstacle.
+        let rises = |w: &[f64; 2]| w[0] <= w[1];
+        self.walls[index(axis)] = between.filter(rises);
+    }
+
+    pub(crate) fn take_along(&mut self, axis: Axis, along: Axis, si: f64) {
+        let has = self.config.has(along) && axis != along && si != 0.0;
+        self.along[index(axis)] = has.then_some((index(along), si));
+    }
+
+    pub(crate) fn misreport(&mut self, axis: Axis, si: f64) {
+        self.misreported[index(axis)] = si;
+    }
+
+    pub(crate) fn ignore_stops(&mut self, ignores: bool) {
+        self.ignores_stop = ignores;
     }
 
     pub(crate) fn set_backlash(&mut self, axis: Axis, si: f64) {

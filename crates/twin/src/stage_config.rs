@@ -195,6 +195,7 @@ impl StageConfig {
                     max: a.travel[1] * coarse_si(a.axis),
                     // What a data sheet calls repeatability holds the play and the encoder, too.
                     repeatability: (a.repeatability + 0.5 * a.backlash + a.encoder_error) * 1e-6,
+                    arrival_tolerance: None,
                 })
                 .collect(),
             kinematics: self.kinematics,

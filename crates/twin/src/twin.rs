@@ -319,6 +319,12 @@ impl Twin {
             StageFault::LostSteps { axis, si } => state.stage.lose_steps(axis, si),
             StageFault::StuckAxis { axis, stuck } => state.stage.stick(axis, stuck, now),
             StageFault::Backlash { axis, si } => state.stage.set_backlash(axis, si),
+            StageFault::Wall { axis, between } => state.stage.set_wall(axis, between),
+            StageFault::TakesAlong { axis, along, si } => {
+                state.stage.take_along(axis, along, si);
+            }
+            StageFault::Misreports { axis, si } => state.stage.misreport(axis, si),
+            StageFault::IgnoresStop(ignores) => state.stage.ignore_stops(ignores),
             StageFault::Drift { um_per_s } => state.stage.set_drift(um_per_s, now),
             StageFault::DropFrames(count) => state.drop_frames += count,
             StageFault::LateFrames { count, delay_s } => {
@@ -328,7 +334,8 @@ impl Twin {
             StageFault::TornFrame => state.torn = true,
             StageFault::Unplugged(pulled) => {
                 state.unplugged = pulled;
-                state.stage.stop(now);
+                // Without current nothing moves, whatever it obeys.
+                state.stage.halt(now);
                 state.nosepiece.stop(now);
             }
         }

@@ -80,6 +80,7 @@ impl GcodeEmulator {
             said_busy: Instant::now(),
             damage: 0,
             deaf: false,
+            takes_along: 0.0,
             says: Vec::new(),
             heard: Vec::new(),
         })
@@ -105,6 +106,10 @@ impl GcodeEmulator {
     /// Makes it pass over stops.
     pub fn ignore_stops(&self) {
         self.device().deaf = true;
+    }
+    /// From now on every move of the first axis takes the third along by so much, mm, which the device says; 0 ends it.
+    pub fn take_along(&self, mm: f64) {
+        self.device().takes_along = mm;
     }
     /// Makes it say a line of its own accord.
     pub fn say(&self, line: &str) {
@@ -149,6 +154,7 @@ pub struct Board {
     said_busy: Instant,
     damage: u32,
     deaf: bool,
+    takes_along: f64,
     says: Vec<u8>,
     heard: Vec<String>,
 }
@@ -304,6 +310,9 @@ impl Board {
                 value
             };
             goal[at] = to.clamp(low, high);
+        }
+        if goal[0] != from[0] {
+            goal[2] += self.takes_along;
         }
         let way: f64 = [0, 1, 2, 3]
             .map(|i| (goal[i] - from[i]).powi(2))

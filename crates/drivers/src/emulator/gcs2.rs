@@ -71,6 +71,9 @@ pub enum Obeys {
     None,
 }
 
+/// No obstacles.
+const FREE: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
+
 /// The emulated controller on its port.
 pub type Gcs2Emulator = Server<Controller>;
 
@@ -94,6 +97,8 @@ impl Gcs2Emulator {
             line: Vec::new(),
             obeys: Obeys::All,
             never_on_target: false,
+            takes_along: 0.0,
+            obstacles: FREE,
             heard: Vec::new(),
             stage,
         })
@@ -114,6 +119,14 @@ impl Gcs2Emulator {
     /// Whether it says that it is not on target, wherever it stands.
     pub fn set_never_on_target(&self, never: bool) {
         self.device().never_on_target = never;
+    }
+    /// From now on every move of the first axis takes the third along by so much, mm, which the device says; 0 ends it.
+    pub fn take_along(&self, mm: f64) {
+        self.device().takes_along = mm;
+    }
+    /// Obstacles, mm: the first axis goes no farther either way, and says where it stands; infinite ones end it.
+    pub fn block_first_axis(&self, between: [f64; 2]) {
+        self.device().obstacles = between;
     }
     /// The error it reports next.
     pub fn set_error(&self, number: i32) {
@@ -147,6 +160,8 @@ pub struct Controller {
     line: Vec<u8>,
     obeys: Obeys,
     never_on_target: bool,
+    takes_along: f64,
+    obstacles: [f64; 2],
     heard: Vec<String>,
 }
 
@@ -250,8 +265,13 @@ impl Controller {
         goal
     }
 
-    fn move_to(&mut self, goal: Vec<f64>) {
+    fn move_to(&mut self, mut goal: Vec<f64>) {
         let from = self.place();
+        if goal[0] != from[0] && goal.len() > 2 {
+            goal[2] += self.takes_along;
+        }
+        let [low, high] = self.obstacles;
+        goal[0] = goal[0].clamp(low.min(from[0]), high.max(from[0]));
         let mut seconds: f64 = 0.0;
         for ((a, b), v) in from.iter().zip(&goal).zip(&self.velocities) {
             seconds = seconds.max((b - a).abs() / v);

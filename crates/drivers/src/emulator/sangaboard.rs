@@ -55,6 +55,7 @@ impl SangaEmulator {
                 .greets_after_ms
                 .map(|ms| Instant::now() + Duration::from_millis(ms)),
             deaf: false,
+            takes_along: 0,
             line: String::new(),
             heard: Vec::new(),
             board,
@@ -72,6 +73,10 @@ impl SangaEmulator {
     /// Makes it pass over stops, though it answers them.
     pub fn ignore_stops(&self) {
         self.device().deaf = true;
+    }
+    /// From now on every move of the first axis takes the third along by so much, steps, which the device says; 0 ends it.
+    pub fn take_along(&self, steps: i32) {
+        self.device().takes_along = steps;
     }
     /// Stands still as if an end switch had been met.
     pub fn block(&self) {
@@ -92,6 +97,7 @@ pub struct Sanga {
     takes: Duration,
     greets: Option<Instant>,
     deaf: bool,
+    takes_along: i32,
     line: String,
     heard: Vec<String>,
 }
@@ -129,7 +135,10 @@ impl Sanga {
             }
             ["release"] => "done".into(),
             ["mr", x, y, z] => {
-                let by = [x, y, z].map(|w| w.parse::<i32>().unwrap_or(0));
+                let mut by = [x, y, z].map(|w| w.parse::<i32>().unwrap_or(0));
+                if by[0] != 0 {
+                    by[2] += self.takes_along;
+                }
                 self.from = self.place();
                 self.goal = [0, 1, 2].map(|i| self.from[i] + by[i]);
                 let most = by.iter().map(|b| b.abs()).max().unwrap_or(0);

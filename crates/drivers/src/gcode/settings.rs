@@ -23,6 +23,9 @@ pub struct GcodeAxis {
     pub steps_per_mm: f64,
     /// Half-width of the interval in which repeated arrivals at one place end.
     pub repeatability_um: f64,
+    /// A move counts as arrived when the board counts a place this near to the goal: four times the repeatability without.
+    #[serde(default)]
+    pub arrival_tolerance_um: Option<f64>,
 }
 
 /// A nosepiece on one of the board's steppers.
@@ -234,12 +237,15 @@ fn info(axis: &GcodeAxis) -> Result<AxisInfo, ScopeError> {
             500.0 / axis.steps_per_mm
         )));
     }
-    Ok(AxisInfo {
+    let info = AxisInfo {
         axis: name,
         min: Length::from_um(axis.min_um).m(),
         max: Length::from_um(axis.max_um).m(),
         repeatability: Length::from_um(axis.repeatability_um).m(),
-    })
+        arrival_tolerance: axis.arrival_tolerance_um.map(|um| Length::from_um(um).m()),
+    };
+    info.check()?;
+    Ok(info)
 }
 
 #[cfg(test)]
@@ -276,6 +282,11 @@ mod tests {
             ("\"min_um\": -1", "\"min_um\": 60000"),
             ("\"steps_per_mm\": 400", "\"steps_per_mm\": 0"),
             ("\"repeatability_um\": 5", "\"repeatability_um\": 1"),
+            ("\"repeatability_um\": 5", "\"repeatability_um\": 51"),
+            (
+                "\"repeatability_um\": 5",
+                "\"repeatability_um\": 5, \"arrival_tolerance_um\": 0",
+            ),
             ("\"speed_um_per_s\": 2000", "\"speed_um_per_s\": -1"),
             (
                 "\"needs_homing\": true",

@@ -119,6 +119,7 @@ impl Gcs2Stage {
                 min: plan.si(low),
                 max: plan.si(high),
                 repeatability: plan.repeatability_si,
+                arrival_tolerance: Some(plan.tolerance_si),
             });
         }
         let nosepiece = match (nosepiece, settings.nosepiece.clone()) {

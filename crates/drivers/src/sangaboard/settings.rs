@@ -17,6 +17,9 @@ pub struct SangaAxis {
     pub max_um: f64,
     /// Half-width of the interval in which repeated arrivals at one place end.
     pub repeatability_um: f64,
+    /// A move counts as arrived when the board counts a place this near to the goal: four times the repeatability without.
+    #[serde(default)]
+    pub arrival_tolerance_um: Option<f64>,
 }
 
 /// How a stage on a Sangaboard is set up. A motor that is not there has no entry.
@@ -87,12 +90,16 @@ impl SangaAxis {
                 "{axis}: repeatability_um must be at least half a step, {half} um"
             )));
         }
-        Ok(AxisInfo {
+        let tolerance = self.arrival_tolerance_um;
+        let info = AxisInfo {
             axis,
             min: Length::from_um(self.min_um).m(),
             max: Length::from_um(self.max_um).m(),
             repeatability: Length::from_um(self.repeatability_um).m(),
-        })
+            arrival_tolerance: tolerance.map(|um| Length::from_um(um).m()),
+        };
+        info.check()?;
+        Ok(info)
     }
 }
 
@@ -157,6 +164,7 @@ mod tests {
             ("\"um_per_step\": -0.05", "\"um_per_step\": 1e-9"),
             ("\"min_um\": -1000", "\"min_um\": 2000"),
             ("\"repeatability_um\": 0.2", "\"repeatability_um\": 0.02"),
+            ("\"repeatability_um\": 0.2", "\"repeatability_um\": 51"),
             ("\"closer\",", "\"closer\", \"reply_timeout_ms\": 1,"),
         ] {
             let settings: SangaSettings = serde_json::from_str(&Z.replacen(from, to, 1)).unwrap();

@@ -1,0 +1,114 @@
+//! What pictures tell about a stage before anything leans on it: whether it moves as far as it says, and whether the view stands.
+//!
+//! A stage whose unit is wrong by a thousand agrees with itself in all that it reports. Only a picture shows it.
+
+use crate::identify::{SHARE, directions, place};
+use crate::kinematics::PlanarPose;
+use crate::procedure::run;
+use crate::vision::{centre_px, features, gray, same_objective};
+use crate::{Identify, Identity, NoSink, ServoError, VisionOptions};
+use scopeservo_registration::register;
+use scopeservo_scope::{Instrument, ObjectiveId};
+use scopeservo_sift::Features;
+use std::time::Duration;
+
+/// The first step, as a share of the one that measures the scale: were it a thousand times too long, it would not be twice as long as
+/// that one.
+const FIRST_SHARE: f64 = 1.0 / 500.0;
+/// A picture that shifts by fewer pixels than this, beyond what the stage's arrivals explain, may have shaken.
+const SHAKES_PX: f64 = 3.0;
+/// Between the two pictures of a drift.
+const DRIFT_TIME: Duration = Duration::from_secs(2);
+
+/// How fast the view moves while the stage stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Drift {
+    /// Pixels of the view a second.
+    pub px_per_s: f64,
+    /// Standard deviation of that.
+    pub sigma_px_per_s: f64,
+}
+
+/// Moves the stage a little, sees how far the picture goes, and whether that fits the objective's nominal scale. The first step is so
+/// small that a unit wrong by a thousand cannot take the stage far. It comes back to where it began.
+///
+/// # Errors
+/// [`ServoError::MovesTooFar`]; [`ServoError::PictureStays`] where it hardly moves, and the other errors of [`Identify`].
+pub fn scale_seen(
+    scope: &Instrument,
+    objective: &ObjectiveId,
+    vision: &VisionOptions,
+) -> Result<Identity, ServoError> {
+    first_step(scope, vision)?;
+    run(
+        &mut Identify::new(objective.clone(), vision.clone()),
+        scope,
+        &mut NoSink,
+    )
+}
+
+fn look(scope: &Instrument, vision: &VisionOptions) -> Result<Features, ServoError> {
+    features(&gray(&scope.grab()?)?, &vision.view)
+}
+
+/// How far the middle of the picture went from one view to another, pixels, and its standard deviation; `None` when it is not found.
+fn shift_px(before: &Features, after: &Features, vision: &VisionOptions) -> Option<(f64, f64)> {
+    let found = register(after, before, &same_objective(0.05), &vision.registration).outcome;
+    let estimate = found.ok()?;
+    let centre = centre_px(before.width, before.height);
+    let [x, y] = estimate.target_from_view.recentred(centre, centre).offset;
+    Some((f64::hypot(x, y), estimate.sigma_px))
+}
+
+fn first_step(scope: &Instrument, vision: &VisionOptions) -> Result<(), ServoError> {
+    let info = scope.camera().info();
+    let side_px = info.width.min(info.height) as f64;
+    let scales = scope.gate().objectives().iter();
+    let finest_m = scales
+        .map(|o| o.nominal_um_per_px * 1e-6)
+        .fold(f64::INFINITY, f64::min);
+    let step_m = FIRST_SHARE * SHARE * side_px * finest_m;
+    let present = scope.gate().position()?;
+    let home = PlanarPose::from(&present);
+    let request = |along| place(&home, along, step_m, 1.0).request(&present);
+    let free = directions(scope)
+        .into_iter()
+        .find(|(along, _)| scope.gate().check(&request(*along)).is_ok());
+    // Where there is no room for this, the larger step says so.
+    let Some((along, scatter_m)) = free else {
+        return Ok(());
+    };
+    let (before, again) = (look(scope, vision)?, look(scope, vision)?);
+    if shift_px(&before, &again, vision).is_none() {
+        // Nothing can be told from such pictures: the larger step says so, too.
+        return Ok(());
+    }
+    scope.move_to(&request(along))?;
+    let seen = shift_px(&before, &look(scope, vision)?, vision);
+    let allowed_px = SHAKES_PX + (step_m + 2.0 * scatter_m) / finest_m;
+    scope.move_to(&home.request(&scope.gate().position()?))?;
+    match seen {
+        Some((px, _)) if px <= allowed_px => Ok(()),
+        _ => Err(ServoError::MovesTooFar {
+            asked_um: step_m * 1e6,
+            seen_px: seen.map(|s| s.0),
+        }),
+    }
+}
+
+/// Looks twice, two seconds apart. Nothing moves.
+///
+/// # Errors
+/// What the instrument reports; [`ServoError::NothingToFollow`] when the second view is not found in the first.
+pub fn drift_seen(scope: &Instrument, vision: &VisionOptions) -> Result<Drift, ServoError> {
+    let before = look(scope, vision)?;
+    let start = scope.clock().now();
+    scope.clock().sleep(DRIFT_TIME);
+    let after = look(scope, vision)?;
+    let seconds = scope.clock().now().since(start).as_secs_f64();
+    let (px, sigma_px) = shift_px(&before, &after, vision).ok_or(ServoError::NothingToFollow)?;
+    Ok(Drift {
+        px_per_s: px / seconds,
+        sigma_px_per_s: sigma_px * std::f64::consts::SQRT_2 / seconds,
+    })
+}
