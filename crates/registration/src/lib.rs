@@ -18,4 +18,4 @@ pub use pictures::{Allow, PictureVerdict, register_pictures};
 pub use register::{
     Estimate, Matched, Method, NotFound, Options, Registration, register, register_matches,
 };
-pub use rival::{Contest, Rival, contest, find_rival};
+pub use rival::{Contest, Rival, contest, find_rival, shortest};

@@ -3,7 +3,8 @@
 
 use crate::likeness::Pair;
 use crate::{
-    Contest, Estimate, NotFound, Options, Prior, Registration, Rival, contest, find_rival, register,
+    Contest, Estimate, NotFound, Options, Prior, Registration, Rival, contest, find_rival,
+    register, shortest,
 };
 use scopeservo_geometry::{Affine2, Mat2, Vec2};
 use scopeservo_sift::{Features, GrayImage, Sift, SiftError};
@@ -138,6 +139,7 @@ fn judge(
         // What decides may itself be fixed to the camera.
         let undecidable = stays && !equal && repeats(&pair, &transform, &rival);
         if decided != Contest::First || undecidable {
+            let rival = shortest(&pair, &transform, &rival);
             return PictureVerdict::Ambiguous { estimate, rival };
         }
     }

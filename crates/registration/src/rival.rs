@@ -412,3 +412,37 @@ pub fn contest(
         Contest::Open
     }
 }
+
+/// A shift divides a longer one up to so often.
+const MOST_PERIODS: u32 = 16;
+/// Under a period of its own a specimen looks alike in at least this share of the structured patches.
+const WHOLE_PERIOD: f64 = 0.8;
+
+/// The shortest shift that divides a rival's and under which the pictures look alike as well: the period of a lattice, to be named.
+#[must_use]
+pub fn shortest(pictures: &Pair, first: &Affine2, rival: &Rival) -> Rival {
+    let shifted = |periods: u32| {
+        let shift_px = rival.shift_px.map(|s| s / f64::from(periods));
+        let [x, y] = first.offset;
+        Rival {
+            target_from_view: Affine2 {
+                offset: [x + shift_px[0], y + shift_px[1]],
+                ..*first
+            },
+            shift_px,
+            turn_rad: 0.0,
+            ..*rival
+        }
+    };
+    let alike = |shorter: &Rival| {
+        let seen = pictures.compare(first, &shorter.target_from_view, |_| true);
+        seen.is_some_and(|s| {
+            s.structured > 0 && s.both as f64 >= WHOLE_PERIOD * s.structured as f64
+        })
+    };
+    let shorter = (2..=MOST_PERIODS).rev().map(shifted);
+    shorter
+        .filter(|r| f64::hypot(r.shift_px[0], r.shift_px[1]) > ELSEWHERE_PX / 2.0)
+        .find(alike)
+        .unwrap_or(*rival)
+}

@@ -7,7 +7,9 @@ use crate::servo::{Passed, ServoEnd, ServoResult, ServoTask};
 use crate::vision::centre_px;
 use crate::{PlanarPose, PoseError, Servo, ServoError, Sink};
 use scopeservo_registration::likeness::Pair;
-use scopeservo_registration::{Contest, Estimate, Matched, Prior, Rival, contest, find_rival};
+use scopeservo_registration::{
+    Contest, Estimate, Matched, Prior, Rival, contest, find_rival, shortest,
+};
 use scopeservo_scope::{Instrument, StagePose};
 use scopeservo_sift::{Features, GrayImage};
 use std::time::Duration;
@@ -103,7 +105,7 @@ impl Servo {
         let transform = &estimate.target_from_view;
         let pair = Pair::new(sight.image, &picture, transform.linear.det().abs().sqrt());
         let decided = contest(&pair, transform, &rival, |p| !self.proof.fixed.holds(p));
-        (decided != Contest::First).then_some(rival)
+        (decided != Contest::First).then(|| shortest(&pair, transform, &rival))
     }
 
     /// Whether what agrees in this frame is known to be the specimen, where that matters: in a frame that passes, and in one that did not

@@ -8,7 +8,7 @@ use crate::vision::{features, grab, gray, same_objective};
 use crate::{FrameRole, ServoError, Sink, VisionOptions};
 use base64::Engine as _;
 use scopeservo_registration::likeness::Pair;
-use scopeservo_registration::{Contest, Prior, Rival, contest, find_rival, register};
+use scopeservo_registration::{Contest, Prior, Rival, contest, find_rival, register, shortest};
 use scopeservo_scope::{ErrorKind, Instrument, ObjectiveId};
 use scopeservo_sift::{Features, GrayImage};
 use serde::{Deserialize, Serialize};
@@ -186,7 +186,7 @@ impl SaveTarget {
         match contest(&pair, &found.target_from_view, &rival, counts) {
             Contest::First => Ok(()),
             Contest::Second | Contest::Open => Err(ServoError::Repeats {
-                rival,
+                rival: shortest(&pair, &found.target_from_view, &rival),
                 um_per_px: self.options.um_per_px,
             }),
         }
