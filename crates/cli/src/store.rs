@@ -358,6 +358,7 @@ mod tests {
                 ..Default::default()
             },
             picture: None,
+            periods_px: Vec::new(),
             moved: None,
         };
         let frame = Frame {

@@ -252,7 +252,7 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
         // A pixel's size as it was measured, else as it is engraved.
         let known = desk.store.calibration(&objective).ok().flatten();
         let mut save = SaveTarget::new(SaveOptions {
-            still: args.still,
+            still: args.still || desk.config.target.still,
             um_per_px: known.map(|kept| kept.calibration.um_per_px()),
             ..SaveOptions::default()
         });

@@ -6,16 +6,20 @@
 //! 3. [`significance`]: a match set is *found* when so many agreeing places would come up by chance less than once in
 //!    `1 / false_alarms` registrations, the transform is a possible one, and it is determined well enough.
 
+mod contest;
 mod correspond;
 pub mod likeness;
+mod period;
 mod pictures;
 mod register;
 mod rival;
 pub mod significance;
 
+pub use contest::undecided;
 pub use correspond::{Prior, RotationPrior, ScalePrior, correspondences};
+pub use period::periods;
 pub use pictures::{Allow, PictureVerdict, register_pictures};
 pub use register::{
     Estimate, Matched, Method, NotFound, Options, Registration, register, register_matches,
 };
-pub use rival::{Contest, Rival, contest, find_rival, shortest};
+pub use rival::{Rival, find_rivals, shifted};

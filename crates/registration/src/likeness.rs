@@ -6,9 +6,11 @@ use scopeservo_sift::GrayImage;
 
 /// Blur before comparing, in pixels of the coarser picture: sampling between pixels then changes noise little.
 const BLUR_PX: f64 = 1.0;
-/// Half side of the patches that [`compare`] looks at, and their distance, in pixels of the coarser picture.
-const PATCH_RADIUS: usize = 8;
-const PATCH_STEP: usize = 16;
+/// How much wider the blur is whose result is taken away.
+const BAND: f64 = 6.0;
+/// Half side of the patches that [`Pair::compare`] looks at, and their distance, in pixels of the coarser picture.
+const PATCH_RADIUS: usize = 6;
+const PATCH_STEP: usize = 10;
 /// A patch has structure when its variance is this many times that of the noise.
 const STRUCTURED: f64 = 9.0;
 /// A patch is explained by a transform under which it correlates at least so much,
@@ -59,6 +61,24 @@ impl Plane {
             height,
             data: blurred,
         }
+    }
+
+    /// Without what is wider than [`BAND`] times the blur: shading and wide soft shadows.
+    pub(crate) fn band(image: &GrayImage, sigma_px: f64) -> Self {
+        let (mut fine, wide) = (
+            Self::new(image, sigma_px),
+            Self::new(image, BAND * sigma_px),
+        );
+        fine.data
+            .iter_mut()
+            .zip(&wide.data)
+            .for_each(|(f, w)| *f -= w);
+        fine
+    }
+
+    /// The values, row by row.
+    pub(crate) fn values(&self) -> &[f32] {
+        &self.data
     }
 
     /// The value between pixels; `None` outside.
@@ -197,8 +217,8 @@ impl Pair {
             false => (target, view, 1.0 / scale),
         };
         Self {
-            coarse: Plane::new(coarse, BLUR_PX),
-            fine: Plane::new(fine, BLUR_PX * ratio),
+            coarse: Plane::band(coarse, BLUR_PX),
+            fine: Plane::band(fine, BLUR_PX * ratio),
             view_is_coarse,
         }
     }
@@ -343,19 +363,58 @@ impl Pair {
         best.1
     }
 
-    /// The share of all patches, with structure or without, that are alike under a transform.
+    /// The share of all patches, with structure or without, that show the same thing under a transform: they are alike, and nearly so a
+    /// little aside, as all is that went through optics. The pattern of a sensor's pixels or columns is not.
     pub fn share_alike(&self, target_from_view: &Affine2) -> f64 {
-        let seen = self.look(target_from_view).unwrap_or_default();
+        let aside = |x: f64, y: f64| Affine2 {
+            offset: [
+                target_from_view.offset[0] + x,
+                target_from_view.offset[1] + y,
+            ],
+            ..*target_from_view
+        };
+        let look = |t: &Affine2| self.look(t).unwrap_or_default();
+        let here = look(target_from_view);
+        let beside = [aside(ASIDE_PX, 0.0), aside(0.0, ASIDE_PX)].map(|t| look(&t));
         let (mut alike, mut all) = (0usize, 0usize);
-        for (_, seen) in seen {
+        for (k, (_, seen)) in here.iter().enumerate() {
             let Some(seen) = seen else { continue };
             all += 1;
-            alike += usize::from(seen.correlation >= ALIKE);
+            let smooth = beside.iter().all(|look| {
+                look[k]
+                    .1
+                    .is_some_and(|b| b.correlation >= SMOOTH * seen.correlation)
+            });
+            alike += usize::from(seen.correlation >= ALIKE && smooth);
         }
         alike as f64 / all.max(1) as f64
     }
 }
 
+impl Pair {
+    /// Of the patches with the most structure, the share that a transform explains: near 1 for a right one, whatever the noise, and small for
+    /// one that a few places happen to agree on.
+    pub fn share_explained(&self, target_from_view: &Affine2) -> f64 {
+        let seen = self.look(target_from_view).unwrap_or_default();
+        let seen: Vec<Likeness> = seen.into_iter().filter_map(|(_, seen)| seen).collect();
+        let mut variances: Vec<f64> = seen.iter().map(|l| l.variance).collect();
+        let Some(last) = variances.len().checked_sub(1) else {
+            return 0.0;
+        };
+        let strongest = *variances
+            .select_nth_unstable_by(last - last / 100, f64::total_cmp)
+            .1;
+        let strong = || seen.iter().filter(|l| l.variance >= STRONG * strongest);
+        let explained = strong().filter(|l| l.correlation >= ALIKE).count();
+        explained as f64 / strong().count().max(1) as f64
+    }
+}
+
+/// A patch has much structure when its variance is this share of that of the strongest ones.
+const STRONG: f64 = 0.1;
+/// So far aside, pixels of the target, a picture is still like itself: by this share.
+const ASIDE_PX: f64 = 2.0;
+const SMOOTH: f64 = 0.45;
 /// A patch of noise correlates so much with another in one case of a hundred.
 const ALIKE: f64 = 0.5;
 

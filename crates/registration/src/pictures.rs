@@ -3,8 +3,8 @@
 
 use crate::likeness::Pair;
 use crate::{
-    Contest, Estimate, NotFound, Options, Prior, Registration, Rival, contest, find_rival,
-    register, shortest,
+    Estimate, NotFound, Options, Prior, Registration, Rival, find_rivals, periods, register,
+    shifted, undecided,
 };
 use scopeservo_geometry::{Affine2, Mat2, Vec2};
 use scopeservo_sift::{Features, GrayImage, Sift, SiftError};
@@ -54,11 +54,12 @@ pub enum PictureVerdict {
 /// How near to the identity a transform leaves everything where it is on the sensor, px and degrees.
 const STAYS_PX: f64 = 0.5;
 const STAYS_DEG: f64 = 0.02;
-/// Of two pictures of one place at least so much is alike.
-const MOST: f64 = 0.5;
-/// A rival that explains this share of the structured patches leaves the rest to say which is right.
-const REPEATS: f64 = 0.5;
-
+/// Of two pictures of one place at least so much is alike; dust, text and a reticle together were seen to cover half.
+const MOST: f64 = 0.75;
+/// Fewer agreeing places than this, and the pixels must agree, too: single alike cells or dies of a lattice may agree by place
+const FEW: usize = 20;
+/// in more than this share of what has the most structure.
+const FEW_EXPLAIN: f64 = 0.5;
 /// Features of both pictures, their registration and the verdict. `target` is described once and may be asked about many views.
 ///
 /// # Errors
@@ -91,10 +92,6 @@ pub fn register_pictures(
             let Ok(estimate) = found.outcome.clone() else {
                 return Ok((answer, PictureVerdict::NotFound(reason)));
             };
-            if !allow.mirror {
-                let estimate = unflipped(&estimate, view.width());
-                return Ok((found, PictureVerdict::Mirrored { estimate }));
-            }
             let verdict = judge(
                 (&mirror, &features),
                 (target, target_features),
@@ -103,7 +100,13 @@ pub fn register_pictures(
                 options,
                 allow,
             );
-            Ok((found, verdict.mirrored(view.width())))
+            match verdict.mirrored(view.width()) {
+                PictureVerdict::Found { estimate, .. } if !allow.mirror => {
+                    Ok((found, PictureVerdict::Mirrored { estimate }))
+                }
+                _ if !allow.mirror => Ok((answer, PictureVerdict::NotFound(reason))),
+                verdict => Ok((found, verdict)),
+            }
         }
     }
 }
@@ -117,31 +120,36 @@ fn judge(
     allow: Allow,
 ) -> PictureVerdict {
     let transform = estimate.target_from_view;
-    let stays = stays(&transform, view) && !allow.same_place;
+    let stays = stays(&estimate, view) && !allow.same_place;
     // Not one bit changed, noise included: that is one picture.
     let equal = view == target;
     let pair = Pair::new(view, target, transform.linear.det().abs().sqrt());
+    if answer.inliers < FEW && pair.share_explained(&transform) < FEW_EXPLAIN {
+        return PictureVerdict::NotFound(NotFound::ByChance {
+            inliers: answer.inliers,
+            matches: answer.matches,
+            log10_nfa: answer.log10_nfa,
+        });
+    }
     if stays && !equal {
         let share = pair.share_alike(&transform);
         if share < MOST {
             return PictureVerdict::Suspect { estimate, share };
         }
     }
-    if let Some(rival) = find_rival(
+    let mut rivals = shifted(&estimate, &periods(target));
+    rivals.extend(find_rivals(
         view_features,
         target_features,
         answer,
         prior,
         options,
         false,
-    ) {
-        let decided = contest(&pair, &transform, &rival, |_| true);
-        // What decides may itself be fixed to the camera.
-        let undecidable = stays && !equal && repeats(&pair, &transform, &rival);
-        if decided != Contest::First || undecidable {
-            let rival = shortest(&pair, &transform, &rival);
-            return PictureVerdict::Ambiguous { estimate, rival };
-        }
+    ));
+    // What decides for a picture that stays may itself be fixed to the camera.
+    let trusted = !stays || equal;
+    if let Some(rival) = undecided(&pair, &transform, &rivals, trusted, |_| true) {
+        return PictureVerdict::Ambiguous { estimate, rival };
     }
     PictureVerdict::Found {
         estimate,
@@ -149,18 +157,14 @@ fn judge(
     }
 }
 
-/// Whether most of what one transform explains the other explains as well.
-fn repeats(pair: &Pair, first: &Affine2, rival: &Rival) -> bool {
-    let second = pair.refined(&rival.target_from_view);
-    pair.compare(first, &second, |_| true)
-        .is_some_and(|seen| seen.both as f64 >= REPEATS * seen.structured as f64)
-}
-
-fn stays(transform: &Affine2, view: &GrayImage) -> bool {
+/// As far as it is known: three sigmas more are allowed.
+fn stays(estimate: &Estimate, view: &GrayImage) -> bool {
+    let transform = &estimate.target_from_view;
     let c: Vec2 = [view.width(), view.height()].map(|s| (s as f64 - 1.0) / 2.0);
     let q = transform.apply(c);
     let turn = transform.linear.rotation_angle().unwrap_or(f64::NAN);
-    f64::hypot(q[0] - c[0], q[1] - c[1]) <= STAYS_PX && turn.to_degrees().abs() <= STAYS_DEG
+    f64::hypot(q[0] - c[0], q[1] - c[1]) <= STAYS_PX + 3.0 * estimate.sigma_px
+        && turn.abs() <= STAYS_DEG.to_radians() + 3.0 * estimate.sigma_angle_rad
 }
 
 /// Columns in the other order.

@@ -1,12 +1,11 @@
 //! Is there another transform that says as much? Specimens that repeat themselves (wafers, grids, films, two equal cells) agree with
 //! more than one, and which of them the search found is chance.
 //!
-//! [`find_rival`] looks for the second-best transform. What the ratio test threw away is what it needs: features that look like a matched
-//! one and lie elsewhere, in the target (it holds what is in view twice) and in the view (that holds the target twice). [`contest`] then lets the places speak that only one of the two explains: a defect, a
-//! die's number, an odd cell in a grid.
+//! [`find_rivals`] looks for other transforms. What the ratio test threw away is what it needs: features that look like a matched
+//! one and lie elsewhere, in the target (it holds what is in view twice) and in the view (that holds the target twice). [`undecided`](crate::undecided) then
+//! lets the pixels speak.
 
 use crate::correspond::wrap;
-use crate::likeness::Pair;
 use crate::significance::{log10_nfa, unique_places};
 use crate::{Estimate, Options, Prior, Registration};
 use scopeservo_geometry::{
@@ -23,12 +22,13 @@ const NAMED: usize = 8;
 const ALIKE: f32 = 2.0;
 /// Pixels, of the coarser picture, that a place must lie from the matched one to be another.
 const ELSEWHERE_PX: f64 = 6.0;
-/// A rival explains at least this share of the places that lie in the target under it...
+/// A rival that explains this share of the places that lie in the other picture under it is significant.
 const RIVAL_SHARE: f64 = 0.3;
-/// ...and at least this share of those asked lie in it.
+/// Under a rival at least this share of those asked lie there.
 const RIVAL_OVERLAP: f64 = 0.2;
-/// A rival that explains this share of what the best one does is as good.
-const NEARLY: f64 = 0.75;
+/// Fewer places than these, at least or as a share of those asked, are not even worth a look at the pixels.
+const LEAST_PLACES: usize = 3;
+const LEAST_SHARE: f64 = 0.08;
 /// A pair of keypoints may scale by so much less or more than the whole picture.
 const SCALE_SLACK: f64 = 1.6;
 /// How far the shift of a rival is from a multiple of a pixel's place on the sensor to be taken for fixed to it, px and rad.
@@ -47,6 +47,8 @@ pub struct Rival {
     pub places: usize,
     /// Places asked.
     pub asked: usize,
+    /// Whether these alone are more than chance makes.
+    pub significant: bool,
 }
 
 /// Where others are looked for.
@@ -64,23 +66,27 @@ struct Named {
     shape: [f64; 4],
 }
 
-/// The second-best transform, when it is one that chance does not make. `fixed`: what stays where it is on the sensor is no rival, since
-/// it is known not to be the specimen.
-pub fn find_rival(
+/// Other transforms that some of the agreeing places have features for, the most places first. `without_identity`: what stays where it is
+/// on the sensor is no rival, since it is known not to be the specimen.
+pub fn find_rivals(
     view: &Features,
     target: &Features,
     answer: &Registration,
     prior: &Prior,
     options: &Options,
     without_identity: bool,
-) -> Option<Rival> {
-    let first = answer.found()?;
+) -> Vec<Rival> {
+    let Some(first) = answer.found() else {
+        return Vec::new();
+    };
+    let Some(view_from_target) = first.target_from_view.inverse() else {
+        return Vec::new();
+    };
     let scale = first.target_from_view.linear.det().abs().sqrt();
     let coarse_px = scale.max(1.0);
     let threshold = options.threshold_px * coarse_px;
     let asked = asked(view, target, answer, threshold);
     let limits = alike_limits(view, target, &asked);
-    let view_from_target = first.target_from_view.inverse()?;
     let (in_target, in_view) = (ELSEWHERE_PX * coarse_px, ELSEWHERE_PX * coarse_px / scale);
     let mut named = Vec::new();
     for (k, (&[query, train], &limit)) in asked.iter().zip(&limits).enumerate() {
@@ -105,18 +111,48 @@ pub fn find_rival(
     candidates.extend(turned(&named, &allowed, options.seed, threshold));
     let rated = candidates
         .into_iter()
-        .filter_map(|t| rate(view, target, first, &asked, &named, t, threshold))
-        .filter(|r| allowed(&r.target_from_view));
-    let rivals: Vec<Rival> = rated
-        .filter(|r| r.places >= least_places(r, target, threshold, options))
+        .filter_map(|t| rate(view, target, first, &asked, &named, t, threshold));
+    let mut rivals: Vec<Rival> = rated
+        .filter(|r| allowed(&r.target_from_view))
+        .filter(|r| r.places >= LEAST_PLACES && r.places as f64 >= LEAST_SHARE * r.asked as f64)
+        .map(|r| Rival {
+            significant: r.places >= least_places(&r, target, threshold, options),
+            ..r
+        })
         .collect();
-    // Of those that explain about as much, the nearest: of a lattice that is its period.
-    let most = rivals.iter().map(|r| r.places).max()?;
-    let length = |r: &Rival| f64::hypot(r.shift_px[0], r.shift_px[1]);
-    let strong = rivals
-        .into_iter()
-        .filter(|r| r.places as f64 >= NEARLY * most as f64);
-    strong.min_by(|a, b| length(a).total_cmp(&length(b)))
+    rivals.sort_by_key(|r| std::cmp::Reverse(r.places));
+    // Each once.
+    let mut told: Vec<Rival> = Vec::new();
+    for rival in rivals {
+        let off = |o: &Rival| {
+            let d = [0, 1].map(|k| o.shift_px[k] - rival.shift_px[k]);
+            f64::hypot(d[0], d[1]) + (o.turn_rad - rival.turn_rad).abs() * view.width as f64
+        };
+        if told.iter().all(|o| off(o) > 2.0 * threshold) {
+            told.push(rival);
+        }
+    }
+    told
+}
+
+/// The first transform, shifted by each of a target's periods, either way: rivals that need no feature to be thought of.
+pub fn shifted(first: &Estimate, periods_px: &[Vec2]) -> Vec<Rival> {
+    let both = periods_px.iter().flat_map(|p| [*p, p.map(|v| -v)]);
+    both.map(|shift_px| {
+        let t = first.target_from_view;
+        Rival {
+            target_from_view: Affine2 {
+                offset: [t.offset[0] + shift_px[0], t.offset[1] + shift_px[1]],
+                ..t
+            },
+            shift_px,
+            turn_rad: 0.0,
+            places: 0,
+            asked: 0,
+            significant: false,
+        }
+    })
+    .collect()
 }
 
 /// Agreeing pairs spread over the picture: places that lie together would vote together.
@@ -336,6 +372,7 @@ fn rate(
         turn_rad: wrap(turn),
         places,
         asked: inside,
+        significant: false,
     })
 }
 
@@ -373,76 +410,4 @@ fn stays(view: &Features, transform: &Affine2) -> bool {
 fn corners(view: &Features) -> [Vec2; 4] {
     let (w, h) = (view.width as f64 - 1.0, view.height as f64 - 1.0);
     [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]]
-}
-
-/// What two transforms' places say.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Contest {
-    /// Places that only the first explains decide for it.
-    First,
-    /// Places that only the second explains decide for that one.
-    Second,
-    /// Nothing tells them apart.
-    Open,
-}
-
-/// Fewer patches than this decide nothing.
-const DECIDING: usize = 3;
-/// For each patch that speaks against, so many must speak for.
-const OUTVOTED: usize = 4;
-
-/// Lets the pixels decide between the transform that was found and its rival. Patches count whose place in the view `counts`.
-pub fn contest(
-    pictures: &Pair,
-    first: &Affine2,
-    rival: &Rival,
-    counts: impl Fn(Vec2) -> bool,
-) -> Contest {
-    let second = pictures.refined(&rival.target_from_view);
-    let Some(seen) = pictures.compare(first, &second, counts) else {
-        return Contest::Open;
-    };
-    let decides = |yes: usize, no: usize| yes >= DECIDING && yes >= OUTVOTED * no;
-    if decides(seen.first_only, seen.second_only) {
-        Contest::First
-    } else if decides(seen.second_only, seen.first_only) {
-        Contest::Second
-    } else {
-        Contest::Open
-    }
-}
-
-/// A shift divides a longer one up to so often.
-const MOST_PERIODS: u32 = 16;
-/// Under a period of its own a specimen looks alike in at least this share of the structured patches.
-const WHOLE_PERIOD: f64 = 0.8;
-
-/// The shortest shift that divides a rival's and under which the pictures look alike as well: the period of a lattice, to be named.
-#[must_use]
-pub fn shortest(pictures: &Pair, first: &Affine2, rival: &Rival) -> Rival {
-    let shifted = |periods: u32| {
-        let shift_px = rival.shift_px.map(|s| s / f64::from(periods));
-        let [x, y] = first.offset;
-        Rival {
-            target_from_view: Affine2 {
-                offset: [x + shift_px[0], y + shift_px[1]],
-                ..*first
-            },
-            shift_px,
-            turn_rad: 0.0,
-            ..*rival
-        }
-    };
-    let alike = |shorter: &Rival| {
-        let seen = pictures.compare(first, &shorter.target_from_view, |_| true);
-        seen.is_some_and(|s| {
-            s.structured > 0 && s.both as f64 >= WHOLE_PERIOD * s.structured as f64
-        })
-    };
-    let shorter = (2..=MOST_PERIODS).rev().map(shifted);
-    shorter
-        .filter(|r| f64::hypot(r.shift_px[0], r.shift_px[1]) > ELSEWHERE_PX / 2.0)
-        .find(alike)
-        .unwrap_or(*rival)
 }

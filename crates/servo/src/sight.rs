@@ -7,9 +7,7 @@ use crate::servo::{Passed, ServoEnd, ServoResult, ServoTask};
 use crate::vision::centre_px;
 use crate::{PlanarPose, PoseError, Servo, ServoError, Sink};
 use scopeservo_registration::likeness::Pair;
-use scopeservo_registration::{
-    Contest, Estimate, Matched, Prior, Rival, contest, find_rival, shortest,
-};
+use scopeservo_registration::{Estimate, Matched, Prior, Rival, find_rivals, shifted, undecided};
 use scopeservo_scope::{Instrument, StagePose};
 use scopeservo_sift::{Features, GrayImage};
 use std::time::Duration;
@@ -91,21 +89,27 @@ impl Servo {
     }
 
     fn rival(&self, task: &ServoTask<'_>, sight: &Sight<'_>, estimate: &Estimate) -> Option<Rival> {
-        let rival = find_rival(
+        let found = find_rivals(
             sight.view,
             sight.target,
             &sight.matched.registration,
             sight.prior,
             &task.vision.registration,
             task.is_arrival(),
-        )?;
+        );
+        let mut rivals = shifted(estimate, &task.target.periods_px);
+        rivals.extend(found);
+        if rivals.is_empty() {
+            return None;
+        }
         let Some(picture) = task.target.picture.as_ref().and_then(|p| p.image()) else {
-            return (rival.places as f64 >= AS_GOOD * rival.asked as f64).then_some(rival);
+            let as_good = |r: &Rival| r.places as f64 >= AS_GOOD * r.asked as f64;
+            return rivals.into_iter().find(|r| r.significant && as_good(r));
         };
         let transform = &estimate.target_from_view;
         let pair = Pair::new(sight.image, &picture, transform.linear.det().abs().sqrt());
-        let decided = contest(&pair, transform, &rival, |p| !self.proof.fixed.holds(p));
-        (decided != Contest::First).then(|| shortest(&pair, transform, &rival))
+        let counts = |p| !self.proof.fixed.holds(p);
+        undecided(&pair, transform, &rivals, true, counts)
     }
 
     /// Whether what agrees in this frame is known to be the specimen, where that matters: in a frame that passes, and in one that did not

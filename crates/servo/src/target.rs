@@ -8,7 +8,7 @@ use crate::vision::{features, grab, gray, same_objective};
 use crate::{FrameRole, ServoError, Sink, VisionOptions};
 use base64::Engine as _;
 use scopeservo_registration::likeness::Pair;
-use scopeservo_registration::{Contest, Prior, Rival, contest, find_rival, register, shortest};
+use scopeservo_registration::{Prior, Rival, find_rivals, periods, register, shifted, undecided};
 use scopeservo_scope::{ErrorKind, Instrument, ObjectiveId};
 use scopeservo_sift::{Features, GrayImage};
 use serde::{Deserialize, Serialize};
@@ -26,6 +26,9 @@ pub struct Target {
     /// Its luminance, to tell places that look alike from each other. Targets saved earlier lack it.
     #[serde(default)]
     pub picture: Option<Picture>,
+    /// Shifts under which it looks like itself, pixels; none of what is there only once.
+    #[serde(default)]
+    pub periods_px: Vec<[f64; 2]>,
     /// How many of its features were seen to move with the stage; `None` when it was saved without moving, so that a run must
     /// prove it.
     #[serde(default)]
@@ -59,6 +62,7 @@ impl Target {
             objective,
             features: features(&image, &options.target)?,
             picture: Some(Picture::of(&image)),
+            periods_px: periods(&image),
             moved: None,
         };
         Ok((target, image))
@@ -172,21 +176,23 @@ impl SaveTarget {
         let Some(found) = answer.found() else {
             return Ok(());
         };
-        let without_identity = prior.moved_px.is_some();
-        let rival = find_rival(
+        let moved = prior.moved_px.is_some();
+        let features = &target.features;
+        let mut rivals = shifted(found, &target.periods_px);
+        rivals.extend(find_rivals(
             second_features,
-            &target.features,
+            features,
             &answer,
             prior,
             options,
-            without_identity,
-        );
-        let Some(rival) = rival else { return Ok(()) };
+            moved,
+        ));
         let pair = Pair::new(second, image, 1.0);
-        match contest(&pair, &found.target_from_view, &rival, counts) {
-            Contest::First => Ok(()),
-            Contest::Second | Contest::Open => Err(ServoError::Repeats {
-                rival: shortest(&pair, &found.target_from_view, &rival),
+        // Without a move what decides may itself be fixed to the camera.
+        match undecided(&pair, &found.target_from_view, &rivals, moved, counts) {
+            None => Ok(()),
+            Some(rival) => Err(ServoError::Repeats {
+                rival,
                 um_per_px: self.options.um_per_px,
             }),
         }

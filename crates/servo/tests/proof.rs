@@ -10,8 +10,8 @@ use scopeservo_servo::{
 };
 use scopeservo_twin::specimen::Specimen;
 use scopeservo_twin::{
-    Blank, Config, DustConfig, Lattice, LatticeConfig, MadeSpecimen, Mark, Sparse, SparseConfig,
-    StageConfig, StageFault, TwiceConfig,
+    Blank, Config, DustConfig, Lattice, LatticeConfig, LatticeKind, MadeSpecimen, Mark, Sparse,
+    SparseConfig, StageConfig, StageFault, TwiceConfig,
 };
 use std::sync::Arc;
 
@@ -258,14 +258,15 @@ fn a_lattice_is_refused_at_saving_and_a_target_of_one_is_ambiguous() {
 }
 
 #[test]
-fn disorder_and_one_odd_cell_tell_a_lattice_apart() {
-    let odd = LatticeConfig {
-        pitch_um: 40.0,
-        odd_cell: Some([7, 2]),
+fn disorder_and_the_numbers_of_dies_tell_a_lattice_apart() {
+    let numbered = LatticeConfig {
+        kind: LatticeKind::Dies,
+        pitch_um: 110.0,
+        numbered: true,
         ..LatticeConfig::default()
     };
-    let odd: Arc<dyn Specimen> = Arc::new(Lattice::new(odd).unwrap());
-    for (name, specimen) in [("disorder", lattice(40.0, 0.05)), ("odd", odd)] {
+    let numbered: Arc<dyn Specimen> = Arc::new(Lattice::new(numbered).unwrap());
+    for (name, specimen) in [("disorder", lattice(40.0, 0.05)), ("numbers", numbered)] {
         let bench = over(specimen, &[]);
         let aim = bench.twin.truth_now();
         let target = save(&bench).unwrap_or_else(|e| panic!("{name}: {e}"));

@@ -48,6 +48,9 @@ pub struct Config {
     /// Settings of the light.
     #[serde(default)]
     pub light: LightConfig,
+    /// How targets are saved.
+    #[serde(default)]
+    pub target: TargetConfig,
     /// Where calibrations and targets are kept, from the folder of this file on.
     #[serde(default = "data_folder")]
     pub data_folder: PathBuf,
@@ -223,6 +226,15 @@ pub struct CameraConfig {
 pub struct LightConfig {
     /// 0 to 1, set when the instrument is opened.
     pub level: Option<f64>,
+}
+
+/// How targets are saved.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TargetConfig {
+    /// Nothing moves for it: no step aside shows what is fixed to the camera, and each run must prove it.
+    #[serde(default)]
+    pub still: bool,
 }
 
 impl Config {

@@ -78,6 +78,10 @@ nosepiece = "main"                # a driver, or "by-hand" (you are asked to tur
 
 [light]
 # level = 0.4                     # 0 to 1
+
+# A target is saved with a step aside of some pixels, which shows what is fixed to the camera. Where nothing may move:
+# [target]
+# still = true
 "#;
 
 /// For the simulated microscope.

@@ -51,6 +51,7 @@ fn the_schema_has_the_keys_of_the_program_table_by_table() {
         ("[objective_change]", "/properties/objective_change".into()),
         ("[camera]", "/properties/camera".into()),
         ("[light]", "/properties/light".into()),
+        ("[target]", "/properties/target".into()),
         ("[drivers.a]", driver.into()),
         ("[drivers.a.twin]", own("twin")),
         ("[drivers.a.twin.camera]", own("twin/properties/camera")),
