@@ -51,7 +51,8 @@ impl Servo {
         loop {
             let left = until - scope.clock().now().seconds();
             // A clock that was started anew after a kill knows nothing of the frame before.
-            if left <= 0.0 || left > task.options.confirmation_s {
+            // What is left of rounding is no time: a clock may not even move by it.
+            if left < 1e-6 || left > task.options.confirmation_s {
                 return Ok(());
             }
             scope.clock().sleep(LOOK.min(Duration::from_secs_f64(left)));
