@@ -207,7 +207,7 @@ impl Reposition {
             };
             tell(scope, sink, event);
             let features = self.target.features.len();
-            if features < MIN_TARGET_FEATURES {
+            if features < MIN_TARGET_FEATURES && self.target.moved.is_none() {
                 let message = format!(
                     "the target has {features} features and at least {MIN_TARGET_FEATURES} are needed to recognise it: \
                      save a view with more tissue in focus"

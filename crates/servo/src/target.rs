@@ -15,6 +15,8 @@ use serde::{Deserialize, Serialize};
 
 /// Fewer features than this and a target cannot be told from others.
 pub(crate) const MIN_TARGET_FEATURES: usize = 30;
+/// Of those that were seen to move with the stage so many are enough: none of them is noise or dust.
+const MIN_MOVED_FEATURES: usize = 15;
 
 /// A saved view: its features and what made it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -152,11 +154,11 @@ impl SaveTarget {
         self.refuse_repetition(&target, image, (&seen.image, &second), &prior, |p| {
             !seen.fixed.holds(p)
         })?;
-        if moved < MIN_TARGET_FEATURES {
+        if moved < MIN_MOVED_FEATURES {
             return Err(ServoError::PoorTarget {
                 features: all,
                 moved: Some(moved),
-                needed: MIN_TARGET_FEATURES,
+                needed: MIN_MOVED_FEATURES,
             });
         }
         Ok(target)
