@@ -114,7 +114,7 @@ enum State {
     Begin,
     Bring(Box<Bring>),
     Calibrate(Box<Calibrate>),
-    Servo(Servo),
+    Servo(Box<Servo>),
 }
 
 /// Algorithm 1 as a step machine. Serialise it between two steps to continue after a kill.
@@ -243,7 +243,7 @@ impl Reposition {
                     }
                     if servo_here && self.known.contains(&objective) {
                         self.enter(scope, sink, Phase::Servo);
-                        self.state = State::Servo(Servo::default());
+                        self.state = State::Servo(Box::default());
                         return Ok(None);
                     }
                     let calibrate = Calibrate::new(
@@ -267,7 +267,7 @@ impl Reposition {
                     self.calibrations.insert(objective, calibration);
                     if servo_here {
                         self.enter(scope, sink, Phase::Servo);
-                        self.state = State::Servo(Servo::default());
+                        self.state = State::Servo(Box::default());
                     } else {
                         self.next_leg();
                     }
@@ -454,6 +454,7 @@ impl Reason {
             | ServoError::CalibrationInconsistent { .. } => Reason::CalibrationFailed,
             ServoError::Scope(
                 ScopeError::OutsideLimits { .. }
+                | ScopeError::StandsOutside { .. }
                 | ScopeError::OutsideWorkspace { .. }
                 | ScopeError::TooClose { .. }
                 | ScopeError::StepTooLarge { .. }
