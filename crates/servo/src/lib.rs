@@ -11,6 +11,7 @@ mod bring;
 mod calibrate;
 mod calibration;
 mod control;
+mod end;
 mod error;
 mod event;
 mod fixed;
@@ -31,6 +32,7 @@ pub use bring::Bring;
 pub use calibrate::{Calibrate, CalibrateOptions};
 pub use calibration::{CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
 pub use control::{PoseError, control_law, motion_of, pose_error};
+pub use end::{ServoEnd, ServoResult};
 pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};
 pub use fixed::FixedPlaces;
@@ -42,7 +44,7 @@ pub use procedure::{Procedure, Progress, run};
 pub use reposition::{
     MagnificationResult, Outcome, Reason, Reposition, RepositionOptions, Verdict,
 };
-pub use servo::{Servo, ServoEnd, ServoOptions, ServoResult, ServoTask};
+pub use servo::{Servo, ServoOptions, ServoTask};
 pub use target::{Picture, SaveOptions, SaveTarget, Target};
 pub use trial::{Drift, drift_seen, scale_seen};
 pub use vision::{Engine, VisionOptions};

@@ -2,7 +2,7 @@
 //!
 //! One step: grab, describe, match and fit, homography, pose error, control, move. It ends when the error passes the
 //! convergence test in `confirmations` frames in a row, without a move in between: arrival is claimed by the image, on places that were
-//! seen to move with the specimen ([`crate::proof`]), and by frames far enough apart in time to see it drift.
+//! seen to move with the specimen (`proof.rs`), and by frames far enough apart in time to see it drift.
 
 use crate::control::motion_of;
 use crate::event::tell;
@@ -11,11 +11,11 @@ use crate::proof::{Drift, Proof};
 use crate::sight::{Belief, Sight};
 use crate::vision::{centre_px, features, grab, gray};
 use crate::{
-    Calibration, Event, FrameRole, PlanarPose, PoseError, ServoError, Sink, Target, VisionOptions,
-    control_law, pose_after, pose_error,
+    Calibration, Event, FrameRole, PlanarPose, PoseError, ServoEnd, ServoError, ServoResult, Sink,
+    Target, VisionOptions, control_law, pose_after, pose_error,
 };
 use scopeservo_registration::{
-    Estimate, Matched, NotFound, Prior, Registration, Rival, RotationPrior, ScalePrior,
+    Estimate, Matched, NotFound, Prior, Registration, RotationPrior, ScalePrior,
 };
 use scopeservo_scope::{Axis, Instrument};
 use serde::{Deserialize, Serialize};
@@ -81,89 +81,6 @@ impl ServoTask<'_> {
     pub(crate) fn is_arrival(&self) -> bool {
         self.view_calibration.objective == self.target_calibration.objective
     }
-}
-
-/// How a loop ended.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ServoEnd {
-    /// The view is there.
-    Converged(ServoResult),
-    /// The target is not in the view.
-    Lost(NotFound),
-    /// The iterations ran out.
-    IterationLimit(ServoResult),
-    /// The error grows: a sign or a calibration is wrong.
-    Diverged(ServoResult),
-    /// Another place explains the view as well.
-    Ambiguous {
-        /// The other one.
-        rival: Rival,
-        /// Size of a pixel of the target, um.
-        um_per_px: f64,
-    },
-    /// The stage moved, and nothing in the picture did.
-    NothingMoves {
-        /// How far the stage moved, um.
-        moved_um: f64,
-    },
-    /// What agrees was not seen to move with the specimen.
-    Unproven(ServoResult),
-    /// The view does not rest.
-    Drifting {
-        /// How fast, um/s.
-        um_per_s: f64,
-        /// The last error.
-        last: ServoResult,
-    },
-}
-
-impl ServoEnd {
-    /// The last error, where something is known of the specimen's.
-    pub fn result(&self) -> Option<&ServoResult> {
-        match self {
-            Self::Converged(r)
-            | Self::IterationLimit(r)
-            | Self::Diverged(r)
-            | Self::Drifting { last: r, .. } => Some(r),
-            // What is not known to be the specimen says nothing of its distance.
-            Self::Lost(_)
-            | Self::Ambiguous { .. }
-            | Self::NothingMoves { .. }
-            | Self::Unproven(_) => None,
-        }
-    }
-
-    /// The end in a word, for programs.
-    pub fn word(&self) -> &'static str {
-        match self {
-            Self::Converged(_) => "converged",
-            Self::Lost(_) => "lost",
-            Self::IterationLimit(_) => "iteration_limit",
-            Self::Diverged(_) => "diverged",
-            Self::Ambiguous { .. } => "ambiguous",
-            Self::NothingMoves { .. } => "nothing_moves",
-            Self::Unproven(_) => "unproven",
-            Self::Drifting { .. } => "drifting",
-        }
-    }
-}
-
-/// The last error and how well it is known.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ServoResult {
-    /// Iterations done.
-    pub iterations: usize,
-    /// Agreeing places in the last frame.
-    pub inliers: usize,
-    /// The last error; the mean over the confirming frames after convergence.
-    pub error: PoseError,
-    /// Standard deviation of the error's distance, um: of the registration, and after convergence of the confirming frames
-    /// among themselves (vibration, drift).
-    pub sigma_um: f64,
-    /// Standard deviation of the error's angle, degrees, of the registration.
-    #[serde(default)]
-    pub sigma_deg: f64,
 }
 
 /// The loop's state.
@@ -288,7 +205,11 @@ impl Servo {
             Belief::LookAgain => {
                 self.passed.clear();
                 self.iteration += 1;
-                return Ok(Progress::Continue);
+                if self.iteration < task.options.max_iterations {
+                    return Ok(Progress::Continue);
+                }
+                let last = self.result(task, error, registration, &estimate);
+                return Ok(Progress::Done(ServoEnd::Unproven(last)));
             }
             Belief::Unknown => {
                 self.iteration += 1;

@@ -3,9 +3,9 @@
 use crate::aside::{Aside, step_aside};
 use crate::procedure::Progress;
 use crate::proof::{Proved, far_from_goal};
-use crate::servo::{Passed, ServoEnd, ServoResult, ServoTask};
+use crate::servo::{Passed, ServoTask};
 use crate::vision::centre_px;
-use crate::{PlanarPose, PoseError, Servo, ServoError, Sink};
+use crate::{PlanarPose, PoseError, Servo, ServoEnd, ServoError, ServoResult, Sink};
 use scopeservo_registration::likeness::Pair;
 use scopeservo_registration::{Estimate, Matched, Prior, Rival, find_rivals, shifted, undecided};
 use scopeservo_scope::{Instrument, StagePose};
