@@ -199,14 +199,14 @@ class MicroManager(unittest.TestCase):
         from mm_test_adapters import device_adapter_path
 
         adapters = ["--adapters", str(device_adapter_path())]
-        table = [*adapters, "--device", "Table", "DemoCamera", "DXYStage", "--x-um", "0", "9"]
-        focus = [*adapters, "--device", "Focus", "DemoCamera", "DStage", "--z-um", "0", "9"]
+        table = [*adapters, "--device", "Table", "DemoCamera", "DXYStage", "--x-um", "0", "90"]
+        focus = [*adapters, "--device", "Focus", "DemoCamera", "DStage", "--z-um", "0", "90"]
         turret = [*adapters, "--device", "Turret", "DemoCamera", "DObjective"]
         for args, words in (
             ([], "one of the arguments"),
             (table, "--y-um MIN MAX"),
             (focus, "--positive-z"),
-            ([*table, "--y-um", "9", "0"], "min of axis y"),
+            ([*table, "--y-um", "90", "0"], "min of axis y"),
             ([*table, "--xy-stage", "Tisch"], "there are Table"),
             ([*turret, "--objective", "10x:1:1:1"], "Objective-A"),
             ([*turret, "--objective", "10x"], "UM_PER_PX"),
