@@ -23,7 +23,7 @@ const MIN_MOVED_FEATURES: usize = 15;
 pub struct Target {
     /// The objective it was taken with.
     pub objective: ObjectiveId,
-    /// Its features, made with the target settings; those fixed to the camera are left out when a step aside showed them.
+    /// Its features, made with the target settings; those that a step aside showed to move with the stage, when one was made.
     pub features: Features,
     /// Its luminance, to tell places that look alike from each other. Targets saved earlier lack it.
     #[serde(default)]
@@ -141,11 +141,7 @@ impl SaveTarget {
         seen: &Seen,
     ) -> Result<Target, ServoError> {
         let all = target.features.len();
-        let free = seen.fixed.without(&target.features).into_owned();
-        let moves = |k: &&scopeservo_sift::Keypoint| seen.parallax.of_keypoint(k) == Place::Moved;
-        let moved = free.keypoints.iter().filter(moves).count();
-        target.features = free;
-        target.moved = Some(moved);
+        target.features = seen.fixed.without(&target.features).into_owned();
         let second = seen.fixed_free();
         let prior = Prior {
             moved_px: Some(crate::fixed::LEAST_PX),
@@ -154,13 +150,19 @@ impl SaveTarget {
         self.refuse_repetition(&target, image, (&seen.image, &second), &prior, |p| {
             !seen.fixed.holds(p)
         })?;
-        if moved < MIN_MOVED_FEATURES {
+        // What neither moved nor stayed is left out as well: digits that follow the stage do that, and noise.
+        let free = &target.features;
+        let moves = |k: &usize| seen.parallax.of_keypoint(&free.keypoints[*k]) == Place::Moved;
+        let moving: Vec<usize> = (0..free.len()).filter(moves).collect();
+        if moving.len() < MIN_MOVED_FEATURES {
             return Err(ServoError::PoorTarget {
                 features: all,
-                moved: Some(moved),
+                moved: Some(moving.len()),
                 needed: MIN_MOVED_FEATURES,
             });
         }
+        target.moved = Some(moving.len());
+        target.features = free.subset(&moving);
         Ok(target)
     }
 
