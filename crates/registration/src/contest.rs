@@ -30,7 +30,7 @@ pub fn undecided(
         let seen = pictures
             .compare(first, &second, &counts)
             .unwrap_or_default();
-        let repeats = seen.structured > 0 && seen.both as f64 >= REPEATS * seen.structured as f64;
+        let repeats = seen.first > 0 && seen.both as f64 >= REPEATS * seen.first as f64;
         if !repeats && !rival.significant {
             return false;
         }
@@ -84,6 +84,7 @@ mod tests {
     fn few_patches_decide_only_against_none_and_noise_decides_nothing() {
         let seen = |first_only, second_only| Comparison {
             structured: 1000,
+            first: 900 + first_only,
             first_only,
             second_only,
             both: 900,

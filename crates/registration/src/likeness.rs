@@ -176,7 +176,9 @@ pub fn likeness(
 pub struct Comparison {
     /// Patches with structure.
     pub structured: usize,
-    /// Of these, those which the first transform explains and the second does not.
+    /// Of these, those which the first transform explains.
+    pub first: usize,
+    /// Those which the first explains and the second does not.
     pub first_only: usize,
     /// Those which the second explains and the first does not.
     pub second_only: usize,
@@ -194,6 +196,7 @@ impl Comparison {
         }
         self.structured += 1;
         let (a, b) = (one.correlation, two.correlation);
+        self.first += usize::from(a >= EXPLAINED);
         self.first_only += usize::from(a >= EXPLAINED && b <= a - APART);
         self.second_only += usize::from(b >= EXPLAINED && a <= b - APART);
         self.both += usize::from(a >= EXPLAINED && b >= EXPLAINED);

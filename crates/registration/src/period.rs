@@ -15,17 +15,26 @@ const ALIKE: f64 = 0.5;
 const SHORTEST_PX: f64 = 3.5;
 /// Farther shifts leave so little of the window's overlap that noise makes peaks.
 const LEAST_OVERLAP: f64 = 0.08;
+/// A larger picture is thinned out.
+const MOST_PIXELS: usize = 1_500_000;
 /// So many are told: the nearest.
 const MOST: usize = 4;
 
 /// The shortest shifts, in pixels, under which the picture looks like itself; of each and its opposite one is told. Empty for what does not
 /// repeat.
 pub fn periods(image: &GrayImage) -> Vec<Vec2> {
-    let (width, height) = (image.width(), image.height());
+    // Of a large picture every second, third... pixel of the blurred one: memory grows with the square.
+    let every = (1..)
+        .find(|f| (image.width() / f) * (image.height() / f) <= MOST_PIXELS)
+        .unwrap_or(1);
+    let (width, height) = (image.width() / every, image.height() / every);
     if width < 16 || height < 16 {
         return Vec::new();
     }
-    let plane = Plane::band(image, 1.0);
+    let plane = Plane::band(image, every as f64);
+    let values: Vec<f32> = (0..width * height)
+        .map(|i| plane.values()[(i / width) * every * image.width() + (i % width) * every])
+        .collect();
     let hann = |k: usize, n: usize| {
         0.5 - 0.5 * (std::f64::consts::TAU * (k as f64 + 0.5) / n as f64).cos()
     };
@@ -33,16 +42,15 @@ pub fn periods(image: &GrayImage) -> Vec<Vec2> {
         .map(|i| hann(i % width, width) * hann(i / width, height))
         .collect();
     let total: f64 = window.iter().sum();
-    let values = plane.values();
     let mean = window
         .iter()
-        .zip(values)
+        .zip(&values)
         .map(|(w, &v)| w * f64::from(v))
         .sum::<f64>()
         / total;
     let weighted: Vec<f64> = window
         .iter()
-        .zip(values)
+        .zip(&values)
         .map(|(w, &v)| w * (f64::from(v) - mean))
         .collect();
     let size = [2 * width, 2 * height];
@@ -75,7 +83,7 @@ pub fn periods(image: &GrayImage) -> Vec<Vec2> {
                 .filter(|d| *d != (0, 0))
                 .all(|(i, j)| at(x + i, y + j) <= here);
             if highest {
-                peaks.push((length, [x as f64, y as f64]));
+                peaks.push((length, [x, y].map(|v| (v * every as i64) as f64)));
             }
         }
     }

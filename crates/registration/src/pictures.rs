@@ -54,6 +54,7 @@ pub enum PictureVerdict {
 /// How near to the identity a transform leaves everything where it is on the sensor, px and degrees.
 const STAYS_PX: f64 = 0.5;
 const STAYS_DEG: f64 = 0.02;
+const STAYS_SCALE: f64 = 0.002;
 /// Of two pictures of one place at least so much is alike; dust, text and a reticle together were seen to cover half.
 const MOST: f64 = 0.75;
 /// Fewer agreeing places than this, and the pixels must agree, too: single alike cells or dies of a lattice may agree by place
@@ -73,42 +74,44 @@ pub fn register_pictures(
     allow: Allow,
 ) -> Result<(Registration, PictureVerdict), SiftError> {
     let answer = register(view_features, target_features, prior, options);
-    match answer.outcome.clone() {
-        Ok(estimate) => {
-            let verdict = judge(
-                (view, view_features),
-                (target, target_features),
-                (&answer, estimate),
-                prior,
-                options,
-                allow,
-            );
-            Ok((answer, verdict))
-        }
-        Err(reason) => {
-            let mirror = flipped(view)?;
-            let features = sift.detect_and_describe(&mirror);
-            let found = register(&features, target_features, prior, options);
-            let Ok(estimate) = found.outcome.clone() else {
-                return Ok((answer, PictureVerdict::NotFound(reason)));
-            };
-            let verdict = judge(
-                (&mirror, &features),
-                (target, target_features),
-                (&found, estimate),
-                prior,
-                options,
-                allow,
-            );
-            match verdict.mirrored(view.width()) {
-                PictureVerdict::Found { estimate, .. } if !allow.mirror => {
-                    Ok((found, PictureVerdict::Mirrored { estimate }))
-                }
-                _ if !allow.mirror => Ok((answer, PictureVerdict::NotFound(reason))),
-                verdict => Ok((found, verdict)),
-            }
-        }
+    let verdict = match answer.outcome.clone() {
+        Ok(estimate) => judge(
+            (view, view_features),
+            (target, target_features),
+            (&answer, estimate),
+            prior,
+            options,
+            allow,
+        ),
+        Err(reason) => PictureVerdict::NotFound(reason),
+    };
+    if !matches!(
+        verdict,
+        PictureVerdict::NotFound(_) | PictureVerdict::Suspect { .. }
+    ) {
+        return Ok((answer, verdict));
     }
+    let mirror = flipped(view)?;
+    let features = sift.detect_and_describe(&mirror);
+    let found = register(&features, target_features, prior, options);
+    let Ok(estimate) = found.outcome.clone() else {
+        return Ok((answer, verdict));
+    };
+    let mirrored = judge(
+        (&mirror, &features),
+        (target, target_features),
+        (&found, estimate),
+        prior,
+        options,
+        allow,
+    );
+    Ok(match mirrored.mirrored(view.width()) {
+        PictureVerdict::Found { estimate, .. } if !allow.mirror => {
+            (found, PictureVerdict::Mirrored { estimate })
+        }
+        _ if !allow.mirror => (answer, verdict),
+        told => (found, told),
+    })
 }
 
 fn judge(
@@ -120,7 +123,7 @@ fn judge(
     allow: Allow,
 ) -> PictureVerdict {
     let transform = estimate.target_from_view;
-    let stays = stays(&estimate, view) && !allow.same_place;
+    let stays = stays(&estimate, view, target) && !allow.same_place;
     // Not one bit changed, noise included: that is one picture.
     let equal = view == target;
     let pair = Pair::new(view, target, transform.linear.det().abs().sqrt());
@@ -157,14 +160,26 @@ fn judge(
     }
 }
 
-/// As far as it is known: three sigmas more are allowed.
-fn stays(estimate: &Estimate, view: &GrayImage) -> bool {
+/// Whether everything is where it was on the sensor, whatever size its pictures have. As far as it is known: three sigmas more are
+/// allowed.
+fn stays(estimate: &Estimate, view: &GrayImage, target: &GrayImage) -> bool {
     let transform = &estimate.target_from_view;
+    let [x, y] = [
+        target.width() as f64 / view.width() as f64,
+        target.height() as f64 / view.height() as f64,
+    ];
+    // Both pictures begin at the same edge, half a pixel before the first pixel's centre.
+    let sensor = Affine2 {
+        linear: Mat2::diagonal(x, y),
+        offset: [0.5 * (x - 1.0), 0.5 * (y - 1.0)],
+    };
     let c: Vec2 = [view.width(), view.height()].map(|s| (s as f64 - 1.0) / 2.0);
-    let q = transform.apply(c);
+    let (p, q) = (sensor.apply(c), transform.apply(c));
     let turn = transform.linear.rotation_angle().unwrap_or(f64::NAN);
-    f64::hypot(q[0] - c[0], q[1] - c[1]) <= STAYS_PX + 3.0 * estimate.sigma_px
+    let scale = transform.linear.det().abs().sqrt() / (x * y).sqrt();
+    f64::hypot(q[0] - p[0], q[1] - p[1]) <= STAYS_PX * x.max(1.0) + 3.0 * estimate.sigma_px
         && turn.abs() <= STAYS_DEG.to_radians() + 3.0 * estimate.sigma_angle_rad
+        && (scale - 1.0).abs() <= STAYS_SCALE + 3.0 * estimate.sigma_angle_rad
 }
 
 /// Columns in the other order.

@@ -120,6 +120,19 @@ pub struct Estimate {
     pub sigma_angle_rad: f64,
 }
 
+impl Estimate {
+    /// That of a picture to itself, known for sure.
+    pub fn at_rest() -> Self {
+        Self {
+            target_from_view: Affine2::IDENTITY,
+            covariance: [[0.0; 6]; 6],
+            sigma_px: 0.0,
+            corner_sigma_px: 0.0,
+            sigma_angle_rad: 0.0,
+        }
+    }
+}
+
 /// The answer of a registration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Registration {

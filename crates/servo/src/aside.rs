@@ -12,7 +12,9 @@ use scopeservo_sift::{Features, GrayImage};
 /// So far the view must be seen to move, pixels: what stays and what moves is then told apart without doubt.
 pub(crate) const SEEN_PX: f64 = 12.0;
 /// The first step, pixels: a little more, for a view that was a pixel off and a scale that is only nominal.
-const FIRST_STEP_PX: f64 = 14.0;
+const FIRST_STEP_PX: f64 = 16.0;
+/// Seen from the goal it must be as far, also when the view was not quite there.
+const MARGIN_PX: f64 = 1.5;
 /// The step doubles up to this share of the shorter side: play in the drive may swallow a small one.
 const LONGEST_SHARE: f64 = 0.25;
 
@@ -53,20 +55,32 @@ pub(crate) fn step_aside(
     (first, first_features): (&GrayImage, &Features),
     home: &PlanarPose,
 ) -> Result<Aside, ServoError> {
-    let mut gone_um = 0.0;
+    let steps = steps(first.width().min(first.height()));
+    let longest = steps[steps.len() - 1];
+    let mut gone_um: f64 = 0.0;
     let mut refused = None;
-    for step_px in steps(first.width().min(first.height())) {
+    // One way first; along the lines of a grating, or into the play of a drive, another way may show more.
+    let others = directions(scope)
+        .into_iter()
+        .skip(1)
+        .map(|(along, _)| (Some(along), longest));
+    let ways = steps.iter().map(|step_px| (None, *step_px)).chain(others);
+    for (along, step_px) in ways {
         let step_m = step_px * um_per_px * 1e-6;
-        let along = match free_direction(scope, home, step_m) {
+        let way = match along {
+            None => free_direction(scope, home, step_m),
+            Some(along) => is_free(scope, home, along, step_m).map(|()| along),
+        };
+        let along = match way {
             Ok(along) => along,
             Err(why) => {
-                refused = Some(why);
-                break;
+                refused = refused.or(Some(why));
+                continue;
             }
         };
         let to = place(home, along, step_m, 1.0);
         scope.move_to(&to.request(&scope.gate().position()?))?;
-        gone_um = step_m * 1e6;
+        gone_um = gone_um.max(step_m * 1e6);
         let frame = grab(scope, sink, FrameRole::Aside, objective)?;
         let image = gray(&frame)?;
         let second = features(&image, &vision.view)?;
@@ -78,7 +92,7 @@ pub(crate) fn step_aside(
         let seen_px = seen
             .as_ref()
             .map(|s| s.motion_px(image.width(), image.height()));
-        let enough = seen.filter(|_| seen_px.is_some_and(|px| px >= SEEN_PX));
+        let enough = seen.filter(|_| seen_px.is_some_and(|px| px >= SEEN_PX + MARGIN_PX));
         let fixed = enough
             .as_ref()
             .map(|parallax| parallax.fixed(first_features));
@@ -104,13 +118,22 @@ pub(crate) fn step_aside(
     }
 }
 
+fn is_free(
+    scope: &Instrument,
+    home: &PlanarPose,
+    along: Vec2,
+    step_m: f64,
+) -> Result<(), ScopeError> {
+    let present = scope.gate().position()?;
+    let to = place(home, along, step_m, 1.0);
+    scope.gate().check(&to.request(&present))
+}
+
 /// A direction in x or y in which a step is allowed; the first refusal when none is.
 fn free_direction(scope: &Instrument, home: &PlanarPose, step_m: f64) -> Result<Vec2, ScopeError> {
-    let present = scope.gate().position()?;
     let mut refused = None;
     for (along, _) in directions(scope) {
-        let to = place(home, along, step_m, 1.0).request(&present);
-        match scope.gate().check(&to) {
+        match is_free(scope, home, along, step_m) {
             Ok(()) => return Ok(along),
             Err(why) => refused = refused.or(Some(why)),
         }
@@ -124,8 +147,8 @@ mod tests {
 
     #[test]
     fn steps_double_up_to_a_quarter_of_the_shorter_side() {
-        assert_eq!(steps(480), [14.0, 28.0, 56.0, 112.0, 120.0]);
-        assert_eq!(steps(300), [14.0, 28.0, 56.0, 75.0]);
-        assert_eq!(steps(32), [14.0]);
+        assert_eq!(steps(480), [16.0, 32.0, 64.0, 120.0]);
+        assert_eq!(steps(300), [16.0, 32.0, 64.0, 75.0]);
+        assert_eq!(steps(32), [16.0]);
     }
 }

@@ -70,9 +70,20 @@ impl Parallax {
     /// Judges the patch around a pixel of the first frame.
     fn judge(&self, centre: [usize; 2], radius: usize) -> Place {
         let see = |t: &Affine2| likeness(&self.first, &self.second, t, centre, radius);
-        let correlation = |l: Option<Likeness>| l.map_or(0.0, |l| l.correlation);
-        let moved = correlation(see(&self.second_from_first));
-        let stayed = correlation(see(&Affine2::IDENTITY));
+        let (moved, stayed) = (see(&self.second_from_first), see(&Affine2::IDENTITY));
+        // Where the motion leads out of the second frame nobody knows.
+        let (
+            Some(Likeness {
+                correlation: moved, ..
+            }),
+            Some(Likeness {
+                correlation: stayed,
+                ..
+            }),
+        ) = (moved, stayed)
+        else {
+            return Place::Neither;
+        };
         if moved >= ALIKE && stayed <= moved - APART {
             Place::Moved
         } else if stayed >= ALIKE && moved <= stayed - APART {

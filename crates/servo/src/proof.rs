@@ -28,11 +28,9 @@ const BENT_PX: f64 = 1.0;
 /// What the places that moved with the specimen prove.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Proved {
-    /// The transform of all places.
-    Same,
-    /// Another transform.
-    Other(Box<Estimate>),
-    /// Another transform, and places that are fixed to the camera bent that of all: they are left out from now on.
+    /// A transform, and that is the one to believe.
+    Moved(Box<Estimate>),
+    /// Another transform than all places: some are fixed to the camera, and are left out from now on.
     Bent,
     /// Nothing: too few moved.
     Nothing,
@@ -64,6 +62,12 @@ impl Proof {
         self.asides < ASIDES
     }
 
+    /// What was seen so far may have been seen of the dust.
+    pub(crate) fn begin_anew(&mut self) {
+        self.witnesses.clear();
+        self.unique = false;
+    }
+
     /// Counts one; `false` when none is left.
     pub(crate) fn spend_step_aside(&mut self) -> bool {
         let may = self.may_step_aside();
@@ -76,9 +80,9 @@ impl Proof {
         &mut self,
         target_from_view: &Affine2,
         registration: &Registration,
-        centre: Vec2,
+        (centre, target_centre): (Vec2, Vec2),
     ) {
-        if far_from_goal(target_from_view, centre) {
+        if far_from_goal(target_from_view, centre, target_centre) {
             self.witnesses.push(Witness {
                 places: registration.pairs.clone(),
             });
@@ -132,7 +136,7 @@ impl Proof {
         let allowed =
             AGREE_SIGMAS * f64::hypot(found.sigma_px, estimate.sigma_px) + AGREE_PX * coarse_px;
         if apart <= allowed {
-            return Proved::Same;
+            return Proved::Moved(Box::new(found.clone()));
         }
         // What bent the transform lies elsewhere by the places that moved: it is fixed to the camera.
         let bends = |pair: &&[usize; 2]| {
@@ -148,7 +152,7 @@ impl Proof {
             .map(|p| p[0])
             .collect();
         if bent.is_empty() {
-            return Proved::Other(Box::new(found.clone()));
+            return Proved::Moved(Box::new(found.clone()));
         }
         self.fixed
             .add_keypoints(view, bent.iter().map(|&i| &view.keypoints[i]));
@@ -184,10 +188,10 @@ fn key(x: f32, y: f32) -> (u32, u32) {
     (x.to_bits(), y.to_bits())
 }
 
-/// Whether what is fixed to the camera would be seen to disagree.
-pub(crate) fn far_from_goal(target_from_view: &Affine2, centre: Vec2) -> bool {
+/// Whether what is fixed to the camera would be seen to disagree: the view's centre lies far from the target's.
+pub(crate) fn far_from_goal(target_from_view: &Affine2, centre: Vec2, target_centre: Vec2) -> bool {
     let q = target_from_view.apply(centre);
-    f64::hypot(q[0] - centre[0], q[1] - centre[1]) >= SEEN_PX
+    f64::hypot(q[0] - target_centre[0], q[1] - target_centre[1]) >= SEEN_PX
 }
 
 /// Whether a target that rests was seen from one place at several moments to drift.

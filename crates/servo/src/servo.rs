@@ -140,7 +140,7 @@ impl Servo {
         let prior = self.prior(task);
         let matched = Matched::of(&view, &target, &prior, &task.vision.registration);
         let registration = &matched.registration;
-        let estimate = match &registration.outcome {
+        let mut estimate = match &registration.outcome {
             Ok(estimate) => estimate.clone(),
             Err(reason) => return Ok(self.lost(task, scope, sink, frame.sequence, reason)),
         };
@@ -156,7 +156,7 @@ impl Servo {
                 centre_px(target.width, target.height),
             )
         };
-        let Some(error) = error_of(&estimate) else {
+        let Some(mut error) = error_of(&estimate) else {
             let reason = NotFound::NoAgreement {
                 matches: registration.matches,
             };
@@ -167,11 +167,15 @@ impl Servo {
         let passes = |estimate: &Estimate| {
             error_of(estimate).is_some_and(|error| passes(&error, estimate, turns, task))
         };
-        let converged = passes(&estimate);
-        let mut velocity = control_law(&error, task.options.lambda);
-        if !turns {
-            velocity.theta_rad = 0.0;
-        }
+        let mut converged = passes(&estimate);
+        let velocity_of = |error: &PoseError| {
+            let velocity = control_law(error, task.options.lambda);
+            PoseError {
+                theta_rad: if turns { velocity.theta_rad } else { 0.0 },
+                ..velocity
+            }
+        };
+        let mut velocity = velocity_of(&error);
         let event = Event::Iteration {
             objective: objective.clone(),
             iteration: self.iteration,
@@ -201,7 +205,17 @@ impl Servo {
         }
         let test: &dyn Fn(&Estimate) -> bool = &passes;
         match self.belief(task, &sight, &estimate, &error, converged.then_some(test)) {
-            Belief::Specimen => {}
+            Belief::Specimen(None) => {}
+            Belief::Specimen(Some(moved)) => {
+                error = error_of(&moved).unwrap_or(error);
+                estimate = *moved;
+            }
+            Belief::NotThere(moved) => {
+                error = error_of(&moved).unwrap_or(error);
+                estimate = *moved;
+                converged = false;
+                velocity = velocity_of(&error);
+            }
             Belief::LookAgain => {
                 self.passed.clear();
                 self.iteration += 1;

@@ -2,7 +2,7 @@
 
 use crate::aside::{Aside, step_aside};
 use crate::procedure::Progress;
-use crate::proof::{Proved, far_from_goal};
+use crate::proof::{Drift, Proved, far_from_goal};
 use crate::servo::{Passed, ServoTask};
 use crate::vision::centre_px;
 use crate::{PlanarPose, PoseError, Servo, ServoEnd, ServoError, ServoResult, Sink};
@@ -30,11 +30,23 @@ pub(crate) struct Sight<'a> {
     pub(crate) prior: &'a Prior,
 }
 
+impl Sight<'_> {
+    /// The middle of the view and of the target.
+    fn centres(&self) -> ([f64; 2], [f64; 2]) {
+        (
+            centre_px(self.view.width, self.view.height),
+            centre_px(self.target.width, self.target.height),
+        )
+    }
+}
+
 /// What is believed of the places that agree.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Belief {
-    /// They are the specimen.
-    Specimen,
+    /// They are the specimen; and what those of them say that were seen to move, in a frame that passes.
+    Specimen(Option<Box<Estimate>>),
+    /// Those that were seen to move say that the view is not there yet, or not for sure.
+    NotThere(Box<Estimate>),
     /// Some were not, and are left out from now on.
     LookAgain,
     /// Nobody knows: a step aside will show it.
@@ -43,7 +55,11 @@ pub(crate) enum Belief {
 
 impl Servo {
     /// Confirming frames lie some time apart: what drifts is seen to.
-    pub(crate) fn rest(&self, task: &ServoTask<'_>, scope: &Instrument) -> Result<(), ServoError> {
+    pub(crate) fn rest(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+    ) -> Result<(), ServoError> {
         let Some(before) = self.resting.filter(|_| task.is_arrival()) else {
             return Ok(());
         };
@@ -51,8 +67,13 @@ impl Servo {
         loop {
             let left = until - scope.clock().now().seconds();
             // A clock that was started anew after a kill knows nothing of the frame before.
+            if left > task.options.confirmation_s {
+                self.passed.clear();
+                (self.resting, self.drift) = (None, Drift::default());
+                return Ok(());
+            }
             // What is left of rounding is no time: a clock may not even move by it.
-            if left < 1e-6 || left > task.options.confirmation_s {
+            if left < 1e-6 {
                 return Ok(());
             }
             scope.clock().sleep(LOOK.min(Duration::from_secs_f64(left)));
@@ -71,9 +92,9 @@ impl Servo {
         estimate: &Estimate,
         converged: bool,
     ) -> Option<ServoEnd> {
-        let centre = centre_px(sight.view.width, sight.view.height);
+        let (centre, target_centre) = sight.centres();
         let due = match task.is_arrival() {
-            true => !self.proof.unique && far_from_goal(&estimate.target_from_view, centre),
+            true => far_from_goal(&estimate.target_from_view, centre, target_centre),
             false => !self.proof.unique || converged,
         };
         if !due {
@@ -94,7 +115,11 @@ impl Servo {
             sight.view,
             sight.target,
             &sight.matched.registration,
-            sight.prior,
+            // Any angle that the first frame of a run would accept.
+            &Prior {
+                rotation: None,
+                ..*sight.prior
+            },
             &task.vision.registration,
             task.is_arrival(),
         );
@@ -124,18 +149,18 @@ impl Servo {
         passes: Option<&dyn Fn(&Estimate) -> bool>,
     ) -> Belief {
         if !task.is_arrival() {
-            return Belief::Specimen;
+            return Belief::Specimen(None);
         }
         let um_per_px = task.target_calibration.um_per_px();
         let stays = self.proof.does_not_follow(error.t_um(), um_per_px);
         let Some(passes) = passes else {
-            let centre = centre_px(sight.view.width, sight.view.height);
+            let centres = sight.centres();
             let registration = &sight.matched.registration;
             self.proof
-                .witness(&estimate.target_from_view, registration, centre);
+                .witness(&estimate.target_from_view, registration, centres);
             return match stays && self.proof.may_step_aside() {
                 true => Belief::Unknown,
-                false => Belief::Specimen,
+                false => Belief::Specimen(None),
             };
         };
         let proved = self.proof.judge(
@@ -146,10 +171,12 @@ impl Servo {
             &task.vision.registration,
         );
         match proved {
-            Proved::Same => Belief::Specimen,
-            Proved::Other(other) if passes(&other) => Belief::Specimen,
+            Proved::Moved(moved) if self.proof.unique => match passes(&moved) {
+                true => Belief::Specimen(Some(moved)),
+                false => Belief::NotThere(moved),
+            },
             Proved::Bent => Belief::LookAgain,
-            Proved::Other(_) | Proved::Nothing => Belief::Unknown,
+            Proved::Moved(_) | Proved::Nothing => Belief::Unknown,
         }
     }
 
@@ -184,7 +211,7 @@ impl Servo {
                 self.first = None;
                 if !seen.fixed.is_empty() {
                     self.last_angle_rad = None;
-                    self.proof.unique = false;
+                    self.proof.begin_anew();
                 }
                 self.proof.fixed.add(seen.fixed);
                 Ok(Progress::Continue)

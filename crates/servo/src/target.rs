@@ -8,7 +8,9 @@ use crate::vision::{features, grab, gray, same_objective};
 use crate::{FrameRole, ServoError, Sink, VisionOptions};
 use base64::Engine as _;
 use scopeservo_registration::likeness::Pair;
-use scopeservo_registration::{Prior, Rival, find_rivals, periods, register, shifted, undecided};
+use scopeservo_registration::{
+    Estimate, Prior, Rival, find_rivals, periods, register, shifted, undecided,
+};
 use scopeservo_scope::{ErrorKind, Instrument, ObjectiveId};
 use scopeservo_sift::{Features, GrayImage};
 use serde::{Deserialize, Serialize};
@@ -178,7 +180,15 @@ impl SaveTarget {
         let options = &self.options.vision.registration;
         let answer = register(second_features, &target.features, prior, options);
         let Some(found) = answer.found() else {
-            return Ok(());
+            // Of a lattice hardly a match passes the ratio test: its own periods tell.
+            let still = Estimate::at_rest();
+            return match shifted(&still, &target.periods_px).first() {
+                None => Ok(()),
+                Some(rival) => Err(ServoError::Repeats {
+                    rival: *rival,
+                    um_per_px: self.options.um_per_px,
+                }),
+            };
         };
         let moved = prior.moved_px.is_some();
         let features = &target.features;
