@@ -117,5 +117,5 @@ fn two_programs_never_drive_one_instrument() {
     let (said, code) = refused.expect("the second was never refused");
     assert!(said.contains("driven by another program"), "{said}");
     assert!(said.contains(&format!("process {first_id}")), "{said}");
-    assert_eq!(code, 2);
+    assert_eq!(code, 3, "the instrument refuses");
 }
