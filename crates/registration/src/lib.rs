@@ -13,6 +13,7 @@ mod period;
 mod pictures;
 mod register;
 mod rival;
+mod search;
 pub mod significance;
 
 pub use contest::undecided;

@@ -366,6 +366,23 @@ impl Pair {
         best.1
     }
 
+    /// Of the patches with the most structure, the share that a transform explains: near 1 for a right one, whatever the noise, and small for
+    /// one that a few places happen to agree on.
+    pub fn share_explained(&self, target_from_view: &Affine2) -> f64 {
+        let seen = self.look(target_from_view).unwrap_or_default();
+        let seen: Vec<Likeness> = seen.into_iter().filter_map(|(_, seen)| seen).collect();
+        let mut variances: Vec<f64> = seen.iter().map(|l| l.variance).collect();
+        let Some(last) = variances.len().checked_sub(1) else {
+            return 0.0;
+        };
+        let strongest = *variances
+            .select_nth_unstable_by(last - last / 100, f64::total_cmp)
+            .1;
+        let strong = || seen.iter().filter(|l| l.variance >= STRONG * strongest);
+        let explained = strong().filter(|l| l.correlation >= ALIKE).count();
+        explained as f64 / strong().count().max(1) as f64
+    }
+
     /// The share of all patches, with structure or without, that show the same thing under a transform: they are alike, and nearly so a
     /// little aside, as all is that went through optics. The pattern of a sensor's pixels or columns is not.
     pub fn share_alike(&self, target_from_view: &Affine2) -> f64 {
@@ -391,25 +408,6 @@ impl Pair {
             alike += usize::from(seen.correlation >= ALIKE && smooth);
         }
         alike as f64 / all.max(1) as f64
-    }
-}
-
-impl Pair {
-    /// Of the patches with the most structure, the share that a transform explains: near 1 for a right one, whatever the noise, and small for
-    /// one that a few places happen to agree on.
-    pub fn share_explained(&self, target_from_view: &Affine2) -> f64 {
-        let seen = self.look(target_from_view).unwrap_or_default();
-        let seen: Vec<Likeness> = seen.into_iter().filter_map(|(_, seen)| seen).collect();
-        let mut variances: Vec<f64> = seen.iter().map(|l| l.variance).collect();
-        let Some(last) = variances.len().checked_sub(1) else {
-            return 0.0;
-        };
-        let strongest = *variances
-            .select_nth_unstable_by(last - last / 100, f64::total_cmp)
-            .1;
-        let strong = || seen.iter().filter(|l| l.variance >= STRONG * strongest);
-        let explained = strong().filter(|l| l.correlation >= ALIKE).count();
-        explained as f64 / strong().count().max(1) as f64
     }
 }
 

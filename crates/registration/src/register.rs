@@ -1,14 +1,12 @@
 //! Features of view and target to a transform with a verdict.
 
 use crate::correspond::coherence;
+use crate::search::{Shape, fitted};
 use crate::significance::{
     AFFINE_SAMPLE, SIMILARITY_SAMPLE, log10_nfa, occupied_area, unique_places,
 };
 use crate::{Prior, correspondences};
-use scopeservo_geometry::{
-    Affine2, AffineFit, AffineProblem, Correspondence, OrientedProblem, RansacOptions, RobustFit,
-    Vec2, fit_affine_robust, fit_similarity_robust, lo_ransac,
-};
+use scopeservo_geometry::{Affine2, AffineFit, Correspondence, Vec2, fit_similarity_robust};
 use scopeservo_sift::{Features, Keypoint, Match, MatchOptions};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -172,7 +170,7 @@ impl Registration {
 const MIN_MATCHES: usize = 5;
 /// How far from a similarity the transform between two views of a microscope may be, relative to its scale: standard deviation.
 /// Between the paper's 100x and 400x views it is 0.004.
-const ANISOTROPY: f64 = 0.005;
+pub(crate) const ANISOTROPY: f64 = 0.005;
 /// Places closer than this, in pixels of each image times its keypoints' finest scale, are one place.
 const PLACE_PX: f64 = 2.0;
 
@@ -430,7 +428,7 @@ fn ranked(
 }
 
 /// The keypoints of each match.
-fn keypoints<'a>(
+pub(crate) fn keypoints<'a>(
     view: &'a Features,
     target: &'a Features,
     matches: &'a [Match],
@@ -438,80 +436,6 @@ fn keypoints<'a>(
     matches
         .iter()
         .map(|m| (&view.keypoints[m.query], &target.keypoints[m.train]))
-}
-
-/// What is fitted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Shape {
-    Affine,
-    Similarity,
-}
-
-/// The search and the robust fit to what agrees, when a possible transform comes out.
-#[expect(
-    clippy::too_many_arguments,
-    reason = "all that a registration knows, and it is asked twice"
-)]
-fn fitted(
-    view: &Features,
-    target: &Features,
-    matches: &[Match],
-    pairs: &[Correspondence],
-    prior: &Prior,
-    options: &Options,
-    threshold: f64,
-    shape: Shape,
-) -> Option<AffineFit> {
-    let rough = search(
-        view, target, matches, pairs, prior, options, threshold, shape,
-    )?;
-    let coherent = coherence(&rough.model);
-    let chosen: Vec<Correspondence> = rough
-        .inliers
-        .iter()
-        .filter(|&&i| {
-            let Match { query, train, .. } = matches[i];
-            coherent(&view.keypoints[query], &target.keypoints[train])
-        })
-        .map(|&i| pairs[i])
-        .collect();
-    let fit = match shape {
-        Shape::Affine => fit_affine_robust(&chosen),
-        Shape::Similarity => fit_similarity_robust(&chosen, ANISOTROPY),
-    };
-    fit.filter(|fit| prior.allows(&fit.b_from_a))
-}
-
-#[expect(clippy::too_many_arguments, reason = "as above")]
-fn search(
-    view: &Features,
-    target: &Features,
-    matches: &[Match],
-    pairs: &[Correspondence],
-    prior: &Prior,
-    options: &Options,
-    threshold: f64,
-    shape: Shape,
-) -> Option<RobustFit<Affine2>> {
-    let possible = |m: &Affine2| prior.allows(m);
-    let ransac = RansacOptions {
-        threshold,
-        seed: options.seed,
-        ..RansacOptions::default()
-    };
-    if options.method == Method::ThreePoint {
-        // The paper's way knows no similarity.
-        let affine = shape == Shape::Affine;
-        return affine.then(|| lo_ransac(&AffineProblem::new(pairs, &possible), &ransac))?;
-    }
-    let oriented: Vec<[f64; 4]> = keypoints(view, target, matches)
-        .map(|(v, t)| [v.sigma, t.sigma, v.angle, t.angle].map(f64::from))
-        .collect();
-    let problem = OrientedProblem::new(pairs, &oriented, &possible);
-    match shape {
-        Shape::Affine => lo_ransac(&problem, &ransac),
-        Shape::Similarity => lo_ransac(&problem.similar(), &ransac),
-    }
 }
 
 fn residual(transform: &Affine2, c: &Correspondence) -> f64 {

@@ -144,7 +144,7 @@ impl SaveTarget {
     ) -> Result<Target, ServoError> {
         let all = target.features.len();
         target.features = seen.fixed.without(&target.features).into_owned();
-        let second = seen.fixed_free();
+        let second = seen.fixed.without(&seen.features);
         let prior = Prior {
             moved_px: Some(crate::fixed::LEAST_PX),
             ..same_objective(0.05)
@@ -210,13 +210,6 @@ impl SaveTarget {
                 um_per_px: self.options.um_per_px,
             }),
         }
-    }
-}
-
-impl Seen {
-    /// The second frame's features that are not fixed to the camera.
-    fn fixed_free(&self) -> Features {
-        self.fixed.without(&self.features).into_owned()
     }
 }
 
