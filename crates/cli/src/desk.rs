@@ -3,6 +3,7 @@
 use crate::answer::Answer;
 use crate::args::InstrumentArgs;
 use crate::error::CliError;
+use crate::shadows;
 use crate::store::Store;
 use scopeservo_scope::{CancelToken, Instrument, Objective, ObjectiveId};
 use scopeservo_setup::{Config, Consent, Opened, open};
@@ -91,6 +92,10 @@ impl Desk {
         } = open(&config, &consent, cancel)?;
         let scope = Arc::new(instrument);
         reins.hold(&scope);
+        // What lay on the camera when it was seen last.
+        let info = scope.camera().info();
+        let seen = shadows::kept(&store, &config.name, [info.width, info.height]);
+        scope.set_flat_field(answer.or_warn(seen).flatten().map(Arc::new));
         Ok(Self {
             config,
             store,

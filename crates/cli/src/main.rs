@@ -19,6 +19,7 @@ mod output;
 mod progress;
 mod register;
 mod scene;
+mod shadows;
 mod stage;
 mod store;
 mod threads;

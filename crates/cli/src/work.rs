@@ -9,6 +9,7 @@ use crate::desk::Desk;
 use crate::error::CliError;
 use crate::output::{self, calibration as calibration_json};
 use crate::progress::Watcher;
+use crate::shadows;
 use crate::store::Store;
 use crate::views::{keep_report, try_out};
 use scopeservo_report as report;
@@ -245,6 +246,7 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
         watcher: &mut watcher,
         frame: None,
     };
+    let before = desk.scope.flat_field();
     let saved = (|| -> Result<(Target, StagePose), CliError> {
         let focus = args.focus.then(FocusOptions::default);
         bring(&desk, &objective, focus, &mut sink)?;
@@ -261,6 +263,11 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
     })();
     let frame = sink.frame.take();
     watcher.finish();
+    let seen = desk.scope.flat_field();
+    let shadows = seen.filter(|now| Some(now) != before.as_ref());
+    if let Some(shadows) = &shadows {
+        answer.or_warn(shadows::keep(&desk.store, &desk.config.name, shadows));
+    }
     let (target, stage) = saved?;
     let (features, moved) = (target.features.len(), target.moved);
     let frame = frame.ok_or_else(|| CliError::Internal("the target has no picture".into()))?;
@@ -270,6 +277,7 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
         "objective": objective.id,
         "features": features,
         "moved_features": moved,
+        "shadows": desk.scope.flat_field().map_or(0, |seen| seen.shadows()),
     }));
     let file = desk
         .store
@@ -287,6 +295,13 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
              prove it, by a step aside where its own moves do not",
             objective.id
         ),
+    }
+    if let Some(shadows) = shadows {
+        say!(
+            answer,
+            "  {} shadows lie on the camera: they are divided out of what it shows from now on. Better still, clean it",
+            shadows.shadows()
+        );
     }
     say!(answer, "  {} and its picture beside it", file.display());
     say!(answer, "  come back with: scopeservo reposition {name}");

@@ -136,7 +136,7 @@ impl<'a> Story<'a> {
             Event::Focused { objective, result } => {
                 self.sweep(Some(objective)).result = Some(result)
             }
-            Event::Identified { .. } | Event::SteppedAside { .. } => {}
+            Event::Identified { .. } | Event::SteppedAside { .. } | Event::ShadowsFound { .. } => {}
             Event::CalibrationView { shift_px, .. } => {
                 if let Some(c) = self.calibrations.last_mut() {
                     c.shifts_px.push(*shift_px);

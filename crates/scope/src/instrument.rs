@@ -1,8 +1,8 @@
 //! A whole microscope: what moves, behind its gate, camera and clock, with the waiting that every procedure needs.
 
 use crate::{
-    Axis, AxisInfo, Camera, ChangeRule, Clock, ErrorKind, Frame, Length, Motion, MotionGate,
-    Objective, ObjectiveId, ScopeError, StagePose, stand_still,
+    Axis, AxisInfo, Camera, ChangeRule, Clock, ErrorKind, FlatField, Frame, Length, Motion,
+    MotionGate, Objective, ObjectiveId, ScopeError, StagePose, stand_still,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -58,6 +58,8 @@ pub struct Instrument {
     cancel: CancelToken,
     /// Where each objective was last in focus.
     focus: Mutex<BTreeMap<ObjectiveId, Length>>,
+    /// What lies on the camera, as far as it was seen.
+    flat_field: Mutex<Option<Arc<FlatField>>>,
     /// Where the present command's first move found the stage.
     began: Mutex<Option<StagePose>>,
     moves: AtomicU64,
@@ -102,6 +104,7 @@ impl Instrument {
             clock,
             cancel,
             focus: Mutex::new(BTreeMap::new()),
+            flat_field: Mutex::new(None),
             began: Mutex::new(None),
             moves: AtomicU64::new(0),
             frames: AtomicU64::new(0),
@@ -159,6 +162,18 @@ impl Instrument {
     /// Where each objective was last in focus.
     pub fn focus_heights(&self) -> BTreeMap<ObjectiveId, Length> {
         self.focus_heights_mut().clone()
+    }
+
+    /// What lies on the camera, as far as it was seen: every procedure divides it out of what it sees.
+    pub fn flat_field(&self) -> Option<Arc<FlatField>> {
+        let kept = self.flat_field.lock();
+        kept.unwrap_or_else(|e| e.into_inner()).clone()
+    }
+
+    /// Keeps what lies on the camera, as it was seen now or before; tells what was kept until then.
+    pub fn set_flat_field(&self, seen: Option<Arc<FlatField>>) -> Option<Arc<FlatField>> {
+        let kept = self.flat_field.lock();
+        std::mem::replace(&mut *kept.unwrap_or_else(|e| e.into_inner()), seen)
     }
 
     /// Takes back what [`Instrument::focus_found`] told: it was another objective.

@@ -6,7 +6,7 @@ use crate::identify::{directions, place};
 use crate::vision::{features, grab, gray};
 use crate::{Event, FrameRole, PlanarPose, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
-use scopeservo_scope::{Axis, Instrument, ObjectiveId, ScopeError};
+use scopeservo_scope::{Axis, Frame, Instrument, ObjectiveId, ScopeError};
 use scopeservo_sift::{Features, GrayImage};
 
 /// So far the view must be seen to move, pixels: what stays and what moves is then told apart without doubt.
@@ -82,34 +82,16 @@ pub(crate) fn step_aside(
         scope.move_to(&to.request(&scope.gate().position()?))?;
         gone_um = gone_um.max(step_m * 1e6);
         let frame = grab(scope, sink, FrameRole::Aside, objective)?;
-        let image = gray(&frame)?;
-        let second = features(&image, &vision.view)?;
-        let seen = Parallax::of(
-            (first, first_features),
-            (&image, &second),
-            &vision.registration,
-        );
-        let seen_px = seen
-            .as_ref()
-            .map(|s| s.motion_px(image.width(), image.height()));
-        let enough = seen.filter(|_| seen_px.is_some_and(|px| px >= SEEN_PX + MARGIN_PX));
-        let fixed = enough
-            .as_ref()
-            .map(|parallax| parallax.fixed(first_features));
+        let (seen, seen_px) = look(scope, vision, (first, first_features), &frame)?;
         let event = Event::SteppedAside {
             objective: objective.clone(),
             step_px,
             seen_px,
-            fixed: fixed.as_ref().map_or(0, FixedPlaces::len),
+            fixed: seen.as_ref().map_or(0, |seen| seen.fixed.len()),
         };
         tell(scope, sink, event);
-        if let (Some(parallax), Some(fixed)) = (enough, fixed) {
-            return Ok(Aside::Seen(Box::new(Seen {
-                parallax,
-                fixed,
-                image,
-                features: second,
-            })));
+        if let Some(seen) = seen {
+            return Ok(Aside::Seen(Box::new(seen)));
         }
     }
     match refused {
@@ -118,7 +100,30 @@ pub(crate) fn step_aside(
     }
 }
 
-fn is_free(
+/// What a frame from elsewhere tells of the first one, when it is seen to be far enough away; and how far it is.
+pub(crate) fn look(
+    scope: &Instrument,
+    vision: &VisionOptions,
+    first: (&GrayImage, &Features),
+    frame: &Frame,
+) -> Result<(Option<Seen>, Option<f64>), ServoError> {
+    let image = gray(scope, frame)?;
+    let second = features(&image, &vision.view)?;
+    let seen = Parallax::of(first, (&image, &second), &vision.registration);
+    let seen_px = seen
+        .as_ref()
+        .map(|s| s.motion_px(image.width(), image.height()));
+    let enough = seen.filter(|_| seen_px.is_some_and(|px| px >= SEEN_PX + MARGIN_PX));
+    let seen = enough.map(|parallax| Seen {
+        fixed: parallax.fixed(first.1),
+        parallax,
+        image,
+        features: second,
+    });
+    Ok((seen, seen_px))
+}
+
+pub(crate) fn is_free(
     scope: &Instrument,
     home: &PlanarPose,
     along: Vec2,

@@ -119,7 +119,7 @@ impl Calibrate {
         let present = scope.gate().position()?;
         let at = scope.move_to(&pose.request(&present))?;
         let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
-        let view = features(&gray(&frame)?, &self.vision.view)?;
+        let view = features(&gray(scope, &frame)?, &self.vision.view)?;
         let reference = self.reference.as_ref().ok_or_else(no_reference)?;
         let prior = same_objective(1.5 * self.options.max_rotation_rad);
         let registration = register(&view, reference, &prior, &self.vision.registration);
@@ -332,7 +332,7 @@ impl Calibrate {
                     return Err(ScopeError::NoSuchAxis { axis }.into());
                 }
                 let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
-                self.reference = Some(features(&gray(&frame)?, &self.vision.view)?);
+                self.reference = Some(features(&gray(scope, &frame)?, &self.vision.view)?);
                 self.reference_pose = Some(PlanarPose::from(&at));
                 self.state = State::Translate {
                     index: 0,

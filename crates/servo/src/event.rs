@@ -85,6 +85,11 @@ pub enum Event {
         /// The result.
         result: FocusResult,
     },
+    /// Shadows that lie on the camera were found, and are divided out from now on.
+    ShadowsFound {
+        /// How many.
+        shadows: usize,
+    },
     /// A picture told which objective is in the beam.
     Identified {
         /// The objective that is said to be there.

@@ -76,7 +76,7 @@ impl Identify {
             Ok((
                 PlanarPose::from(&at).x_m,
                 centre,
-                features(&gray(&frame)?, &self.vision.view)?,
+                features(&gray(scope, &frame)?, &self.vision.view)?,
             ))
         };
         let (a, centre, first) = see(1.0)?;

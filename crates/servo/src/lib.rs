@@ -19,6 +19,7 @@ mod focus;
 mod hand_eye;
 mod identify;
 mod kinematics;
+mod pattern;
 mod procedure;
 mod proof;
 mod reposition;

@@ -131,7 +131,7 @@ impl Servo {
         // Camera.
         let frame = grab(scope, sink, FrameRole::Servo, objective)?;
         // Features, match and fit.
-        let image = gray(&frame)?;
+        let image = gray(scope, &frame)?;
         let seen = features(&image, &task.vision.view)?;
         let (view, target) = (
             self.proof.fixed.without(&seen),

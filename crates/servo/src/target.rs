@@ -3,6 +3,7 @@
 use crate::aside::{Aside, Seen, step_aside};
 use crate::fixed::Place;
 use crate::kinematics::PlanarPose;
+use crate::pattern::look_around;
 use crate::procedure::{Procedure, Progress};
 use crate::vision::{features, grab, gray, same_objective};
 use crate::{FrameRole, ServoError, Sink, VisionOptions};
@@ -11,7 +12,7 @@ use scopeservo_registration::likeness::Pair;
 use scopeservo_registration::{
     Estimate, Prior, Rival, find_rivals, periods, register, shifted, undecided,
 };
-use scopeservo_scope::{ErrorKind, Instrument, ObjectiveId};
+use scopeservo_scope::{ErrorKind, Frame, Instrument, ObjectiveId};
 use scopeservo_sift::{Features, GrayImage};
 use serde::{Deserialize, Serialize};
 
@@ -56,12 +57,12 @@ impl Target {
         scope: &Instrument,
         options: &VisionOptions,
         sink: &mut dyn Sink,
-    ) -> Result<(Self, GrayImage), ServoError> {
+    ) -> Result<(Self, GrayImage, Frame), ServoError> {
         let objective = scope.gate().current_objective()?.ok_or_else(|| {
             ServoError::BadOption("no objective is in the beam; select one and try again".into())
         })?;
         let frame = grab(scope, sink, FrameRole::Target, &objective)?;
-        let image = gray(&frame)?;
+        let image = gray(scope, &frame)?;
         let target = Self {
             objective,
             features: features(&image, &options.target)?,
@@ -69,7 +70,7 @@ impl Target {
             periods_px: periods(&image),
             moved: None,
         };
-        Ok((target, image))
+        Ok((target, image, frame))
     }
 }
 
@@ -223,7 +224,7 @@ impl Procedure for SaveTarget {
     ) -> Result<Progress<Target>, ServoError> {
         let home = PlanarPose::from(&scope.gate().position()?);
         let vision = &self.options.vision;
-        let (target, image) = Target::grab(scope, vision, sink)?;
+        let (mut target, mut image, frame) = Target::grab(scope, vision, sink)?;
         let features_seen = target.features.len();
         if features_seen < MIN_TARGET_FEATURES {
             return Err(ServoError::PoorTarget {
@@ -233,8 +234,8 @@ impl Procedure for SaveTarget {
             });
         }
         if self.options.still {
-            let frame = grab(scope, sink, FrameRole::Aside, &target.objective)?;
-            let second_image = gray(&frame)?;
+            let second = grab(scope, sink, FrameRole::Aside, &target.objective)?;
+            let second_image = gray(scope, &second)?;
             let second = features(&second_image, &vision.view)?;
             self.refuse_repetition(
                 &target,
@@ -248,14 +249,27 @@ impl Procedure for SaveTarget {
         let nominal = scope.objective(&target.objective)?.nominal_um_per_px;
         let um_per_px = self.options.um_per_px.unwrap_or(nominal);
         let objective = target.objective.clone();
-        let stepped = step_aside(
-            scope,
-            sink,
-            (&objective, um_per_px),
-            vision,
-            (&image, &target.features),
-            &home,
-        );
+        let of = (&objective, um_per_px);
+        let first = (&image, &target.features);
+        let mut stepped = step_aside(scope, sink, of, vision, first, &home);
+        // Shadows on the camera are divided out where they can be told from the specimen.
+        let shadows = match &stepped {
+            Ok(Aside::Seen(seen)) => !seen.fixed.is_empty(),
+            Ok(Aside::Nothing { .. }) => true,
+            Err(_) => false,
+        };
+        if shadows {
+            match look_around(scope, sink, of, vision, &frame, &home) {
+                Ok(Some(cleaned)) => {
+                    target.picture = Some(Picture::of(&cleaned.image));
+                    target.periods_px = periods(&cleaned.image);
+                    (target.features, image) = (cleaned.features, cleaned.image);
+                    stepped = Ok(Aside::Seen(Box::new(cleaned.seen)));
+                }
+                Ok(None) => {}
+                Err(error) => stepped = Err(error),
+            }
+        }
         // Back, also when a place was refused; a stage that failed or was stopped stays.
         let stays = match &stepped {
             Err(ServoError::Scope(error)) => error.kind() != ErrorKind::Refused,

@@ -48,7 +48,7 @@ pub fn scale_seen(
 }
 
 fn look(scope: &Instrument, vision: &VisionOptions) -> Result<Features, ServoError> {
-    features(&gray(&scope.grab()?)?, &vision.view)
+    features(&gray(scope, &scope.grab()?)?, &vision.view)
 }
 
 /// How far the middle of the picture went from one view to another, pixels, and its standard deviation; `None` when it is not found.

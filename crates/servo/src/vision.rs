@@ -79,13 +79,13 @@ thread_local! {
     static ENGINE: RefCell<Option<Sift>> = const { RefCell::new(None) };
 }
 
-/// A frame's luminance.
-pub(crate) fn gray(frame: &Frame) -> Result<GrayImage, ServoError> {
-    Ok(GrayImage::new(
-        frame.width,
-        frame.height,
-        frame.luminance(),
-    )?)
+/// A frame's luminance, without what is known to lie on the camera.
+pub(crate) fn gray(scope: &Instrument, frame: &Frame) -> Result<GrayImage, ServoError> {
+    let mut luminance = frame.luminance();
+    if let Some(flat_field) = scope.flat_field() {
+        flat_field.correct(frame.width, frame.height, &mut luminance);
+    }
+    Ok(GrayImage::new(frame.width, frame.height, luminance)?)
 }
 
 /// Features of a picture.

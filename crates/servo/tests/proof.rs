@@ -153,6 +153,44 @@ fn sparse_tissue_behind_dust_is_arrived_at_however_the_dust_came() {
 }
 
 #[test]
+fn shadows_on_the_camera_are_found_at_saving_kept_with_the_instrument_and_divided_out() {
+    let bench = over(sparse(), &[soft_shadows()]);
+    let target = save(&bench).unwrap();
+    let shadows = bench.scope.flat_field().expect("30 shadows are there");
+    assert!(
+        (15..=60).contains(&shadows.shadows()),
+        "{}",
+        shadows.shadows()
+    );
+    let deepest = shadows.transmission().iter().fold(1.0f32, |a, b| a.min(*b));
+    assert!(
+        (0.7..0.95).contains(&deepest),
+        "15 % is taken away, seen {deepest}"
+    );
+    let behind_dust = target.moved.unwrap();
+    // The same view through a clean window: hardly anything was lost.
+    bench.twin.clean_window();
+    let clean = save(&bench).unwrap().moved.unwrap();
+    assert!(10 * behind_dust > 8 * clean, "{behind_dust} of {clean}");
+}
+
+#[test]
+fn where_nothing_moves_no_specimen_is_taken_for_a_shadow() {
+    let bench = over(sparse(), &[]);
+    for axis in [Axis::X, Axis::Y] {
+        bench
+            .twin
+            .fault(StageFault::StuckAxis { axis, stuck: true });
+    }
+    let refusal = save(&bench).unwrap_err();
+    assert!(
+        matches!(refusal, ServoError::NothingMoves { .. }),
+        "{refusal}"
+    );
+    assert_eq!(bench.scope.flat_field(), None);
+}
+
+#[test]
 fn a_target_saved_with_its_dust_before_anybody_looked_is_found_by_its_tissue() {
     let bench = over(sparse(), &[hard_dust()]);
     let aim = bench.twin.truth_now();
