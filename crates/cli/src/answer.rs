@@ -111,8 +111,9 @@ impl Answer {
     }
 
     /// What there is; what there is not is told as a warning.
-    pub(crate) fn or_warn<T>(&self, tried: Result<T, CliError>) -> Option<T> {
+    pub(crate) fn or_warn<T>(&self, tried: Result<T, impl Into<CliError>>) -> Option<T> {
         tried
+            .map_err(Into::into)
             .inspect_err(|error| self.warn(error.code(), error))
             .ok()
     }

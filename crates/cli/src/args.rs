@@ -60,6 +60,8 @@ impl Command {
             Self::Stage(StageCommand::Go(args)) => args.json,
             Self::Target(TargetCommand::Save(args)) => args.json,
             Self::Target(TargetCommand::List(args)) => args.json,
+            Self::Target(TargetCommand::Export(args)) => args.json,
+            Self::Target(TargetCommand::Import(args)) => args.json,
             Self::Reposition(args) => args.json,
             Self::Driver(DriverCommand::Check(args)) => args.json,
             Self::Init(_) | Self::Twin(_) => false,
@@ -228,6 +230,10 @@ pub(crate) enum TargetCommand {
     Save(TargetSaveArgs),
     /// List the saved targets.
     List(TargetListArgs),
+    /// Write a saved target into one file, for another microscope or another computer.
+    Export(TargetExportArgs),
+    /// Take in a target that was exported.
+    Import(TargetImportArgs),
 }
 
 #[derive(Debug, Args)]
@@ -252,6 +258,38 @@ pub(crate) struct TargetSaveArgs {
     #[arg(long, conflicts_with_all = ["focus", "objective"])]
     pub(crate) still: bool,
     /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo target export mitosis-3 mitosis-3.target")]
+pub(crate) struct TargetExportArgs {
+    /// The target's name.
+    pub(crate) name: String,
+    /// The file to write; none is overwritten.
+    pub(crate) file: PathBuf,
+    #[command(flatten)]
+    pub(crate) description: ConfigArgs,
+    /// Print one JSON object on stdout instead.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo target import mitosis-3.target
+  scopeservo target import mitosis-3.target --name from-upstairs")]
+pub(crate) struct TargetImportArgs {
+    /// A file that `target export` wrote.
+    pub(crate) file: PathBuf,
+    /// The name that it gets; that of the file unless told.
+    #[arg(long)]
+    pub(crate) name: Option<String>,
+    #[command(flatten)]
+    pub(crate) description: ConfigArgs,
+    /// Print one JSON object on stdout instead.
     #[arg(long)]
     pub(crate) json: bool,
 }

@@ -3,8 +3,7 @@
 use crate::answer::Answer;
 use crate::args::InstrumentArgs;
 use crate::error::CliError;
-use crate::shadows;
-use crate::store::Store;
+use scopeservo_library::{Cameras as _, Folder};
 use scopeservo_scope::{CancelToken, Instrument, Objective, ObjectiveId};
 use scopeservo_setup::{Config, Consent, Opened, open};
 use std::io::{BufRead, IsTerminal};
@@ -15,7 +14,7 @@ use std::time::Duration;
 /// What a command works at.
 pub(crate) struct Desk {
     pub(crate) config: Config,
-    pub(crate) store: Store,
+    pub(crate) library: Folder,
     pub(crate) scope: Arc<Instrument>,
     pub(crate) drivers: Vec<(String, String)>,
 }
@@ -78,7 +77,7 @@ pub(crate) fn rein_in(cancel: &CancelToken, answer: &Answer) -> Reins {
 impl Desk {
     pub(crate) fn open(args: &InstrumentArgs, answer: &Answer) -> Result<Self, CliError> {
         let config = Config::read(&args.description.config)?;
-        let store = Store::new(config.resolve(&config.data_folder));
+        let library = Folder::new(config.resolve(&config.data_folder));
         let cancel = CancelToken::new();
         let reins = rein_in(&cancel, answer);
         let consent = Consent {
@@ -94,11 +93,11 @@ impl Desk {
         reins.hold(&scope);
         // What lay on the camera when it was seen last.
         let info = scope.camera().info();
-        let seen = shadows::kept(&store, &config.name, [info.width, info.height]);
+        let seen = library.shadows(&config.name, [info.width, info.height]);
         scope.set_flat_field(answer.or_warn(seen).flatten().map(Arc::new));
         Ok(Self {
             config,
-            store,
+            library,
             scope,
             drivers,
         })

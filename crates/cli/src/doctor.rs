@@ -5,6 +5,7 @@ use crate::args::DoctorArgs;
 use crate::desk::Desk;
 use crate::error::{CliError, Code};
 use crate::trial;
+use scopeservo_library::{Calibrations as _, Targets as _};
 use scopeservo_scope::conformance::{self, Check};
 use scopeservo_scope::{ChangeRule, Frame, Instrument, Motion, Samples, ScopeError};
 use scopeservo_servo::sharpness;
@@ -292,15 +293,15 @@ fn camera(scope: &Instrument, findings: &mut Findings<'_>) {
 
 fn kept(desk: &Desk, findings: &mut Findings<'_>) {
     let objectives = desk.scope.gate().objectives();
-    let room = desk.store.try_calibrations(objectives);
-    let room = room.and_then(|()| desk.store.try_targets());
+    let room = desk.library.try_calibrations(objectives);
+    let room = room.and_then(|()| desk.library.try_targets());
     findings.look(
         "calibrations and targets can be kept",
-        room.map(|()| desk.store.folder().display().to_string())
+        room.map(|()| desk.library.path().display().to_string())
             .map_err(|e| e.to_string()),
     );
     for objective in objectives {
-        let found = match desk.store.calibration(objective) {
+        let found = match desk.library.calibration(objective) {
             Ok(Some(kept)) => Ok(format!(
                 "{:.4} um per pixel, made {}",
                 kept.calibration.um_per_px(),
@@ -311,7 +312,7 @@ fn kept(desk: &Desk, findings: &mut Findings<'_>) {
         };
         findings.look(&format!("calibration of {}", objective.id), found);
     }
-    let targets = desk.store.target_names().map_err(|e| e.to_string());
+    let targets = desk.library.target_names().map_err(|e| e.to_string());
     findings.look(
         "targets",
         targets.map(|names| format!("{} saved", names.len())),

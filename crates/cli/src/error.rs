@@ -1,13 +1,14 @@
 //! What ends the program early: in a sentence for people, and in a code word and an exit code for programs.
 
 use clap::ValueEnum;
+use scopeservo_library::LibraryError;
 use scopeservo_scope::{ErrorKind, ScopeError};
 use scopeservo_servo::ServoError;
 use scopeservo_setup::SetupError;
 use scopeservo_slide::SlideError;
 use serde::Serialize;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use thiserror::Error;
 
 #[derive(Debug, Error)]
@@ -35,15 +36,12 @@ pub(crate) enum CliError {
         /// What else to do.
         instead: &'static str,
     },
-    /// Found when something was there to be kept.
-    #[error("{path} could not be kept: {what}. Make room before the next run")]
-    NotKept { path: PathBuf, what: String },
+    #[error("{}", library_words(.0))]
+    Library(#[from] LibraryError),
     #[error(transparent)]
     Setup(#[from] SetupError),
     #[error("{path} cannot be read: {what}")]
     Read { path: PathBuf, what: String },
-    #[error("{path} is damaged: {what}")]
-    Damaged { path: PathBuf, what: String },
     #[error(transparent)]
     Servo(#[from] ServoError),
     #[error(transparent)]
@@ -86,6 +84,7 @@ pub(crate) enum Code {
     NothingMoves,
     Ambiguous,
     NotKept,
+    ForeignTarget,
     Interrupted,
     Fault,
     Internal,
@@ -111,34 +110,51 @@ impl Code {
             | Self::PoorTarget
             | Self::NothingMoves
             | Self::Ambiguous => 3,
-            Self::NotKept | Self::Interrupted | Self::Fault | Self::Internal => 1,
+            Self::NotKept
+            | Self::ForeignTarget
+            | Self::Interrupted
+            | Self::Fault
+            | Self::Internal => 1,
         }
     }
 }
 
 impl CliError {
-    /// What `path` could not be kept for.
-    pub(crate) fn not_kept(path: &Path) -> impl FnOnce(io::Error) -> Self {
-        let path = path.into();
-        |source| Self::NotKept {
-            path,
-            what: source.to_string(),
-        }
-    }
-
     pub(crate) fn code(&self) -> Code {
         match self {
             Self::Usage(_) => Code::Usage,
             Self::Slide(_) | Self::Specimen(_) | Self::TooSmall { .. } => Code::BadImage,
             Self::CannotWrite { .. } => Code::CannotWrite,
-            Self::NotKept { .. } => Code::NotKept,
+            Self::Library(error) => library_code(error),
             Self::Read { .. } => Code::CannotRead,
-            Self::Damaged { .. } => Code::Damaged,
             Self::Setup(error) => setup_code(error),
             Self::Servo(error) => servo_code(error),
             Self::Interrupted | Self::Left => Code::Interrupted,
             Self::Twin(_) | Self::Features(_) | Self::Internal(_) => Code::Internal,
         }
+    }
+}
+
+/// What a library says, and which command helps.
+fn library_words(error: &LibraryError) -> String {
+    match error {
+        LibraryError::NoTarget { known, .. } if known.is_empty() => {
+            format!("{error}: `scopeservo target save NAME`")
+        }
+        _ => error.to_string(),
+    }
+}
+
+fn library_code(error: &LibraryError) -> Code {
+    match error {
+        LibraryError::BadName(_) | LibraryError::Taken { .. } | LibraryError::NoTarget { .. } => {
+            Code::Usage
+        }
+        LibraryError::CannotWrite { .. } => Code::CannotWrite,
+        LibraryError::NotKept { .. } => Code::NotKept,
+        LibraryError::Read { .. } => Code::CannotRead,
+        LibraryError::Damaged { .. } => Code::Damaged,
+        _ => Code::Internal,
     }
 }
 
@@ -188,6 +204,7 @@ fn scope_code(error: &ScopeError) -> Code {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::path::Path;
 
     /// The rows of the page's table: word and exit code.
     fn page() -> Vec<(String, u8)> {

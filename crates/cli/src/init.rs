@@ -3,7 +3,7 @@
 use crate::answer::Answer;
 use crate::args::InitArgs;
 use crate::error::CliError;
-use crate::files::write_new;
+use scopeservo_library::files::write_new;
 use scopeservo_setup::{SCHEMA, TEMPLATE, TWIN_TEMPLATE};
 
 pub(crate) fn run(args: &InitArgs, answer: &Answer) -> Result<bool, CliError> {

@@ -12,16 +12,13 @@ mod desk;
 mod doctor;
 mod driver_check;
 mod error;
-mod files;
 mod init;
-mod kept;
 mod output;
 mod progress;
 mod register;
 mod scene;
-mod shadows;
 mod stage;
-mod store;
+mod targets;
 mod threads;
 mod trial;
 mod twin_serve;
@@ -70,7 +67,9 @@ fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
         Command::Focus(args) => work::focus(&args, answer),
         Command::Stage(StageCommand::Go(args)) => stage::go(&args, answer),
         Command::Target(TargetCommand::Save(args)) => work::save_target(&args, answer),
-        Command::Target(TargetCommand::List(args)) => work::list_targets(&args, answer),
+        Command::Target(TargetCommand::List(args)) => targets::list_targets(&args, answer),
+        Command::Target(TargetCommand::Export(args)) => targets::export_target(&args, answer),
+        Command::Target(TargetCommand::Import(args)) => targets::import_target(&args, answer),
         Command::Reposition(args) => work::reposition(&args, answer),
         Command::Driver(DriverCommand::Check(args)) => driver_check::run(&args, answer),
         Command::Twin(TwinCommand::Serve(args)) => twin_serve::run(&args),

@@ -2,9 +2,10 @@
 
 use crate::answer::Answer;
 use crate::error::CliError;
-use crate::files::{make_folder, replace, try_folder};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
+use scopeservo_library::LibraryError;
+use scopeservo_library::files::{make_folder, replace, try_folder};
 use scopeservo_scope::Frame;
 use scopeservo_servo::{Event, FrameRole, Stamped};
 use scopeservo_twin::{Truth, Twin};
@@ -63,7 +64,7 @@ impl ViewWriter {
         if let Err(source) = written {
             // Half a picture is none.
             let _ = fs::remove_file(&path);
-            self.failed = Some(CliError::not_kept(&path)(source));
+            self.failed = Some(LibraryError::not_kept(&path)(source).into());
         }
     }
 
@@ -140,7 +141,8 @@ fn keep(path: &Path, text: &str) -> Result<(), CliError> {
     path.parent()
         .map_or(Ok(()), make_folder)
         .and_then(|()| replace(path, text.as_bytes()))
-        .map_err(CliError::not_kept(path))
+        .map_err(LibraryError::not_kept(path))?;
+    Ok(())
 }
 
 /// The same for a JSON file.

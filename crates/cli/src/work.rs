@@ -1,17 +1,14 @@
 //! `focus`, `calibrate`, `target` and `reposition` on the user's instrument.
 
 use crate::answer::Answer;
-use crate::args::{
-    CalibrateArgs, ConfigArgs, FocusArgs, RepositionArgs, TargetListArgs, TargetSaveArgs,
-};
+use crate::args::{CalibrateArgs, ConfigArgs, FocusArgs, RepositionArgs, TargetSaveArgs};
 use crate::demo::check_servo;
 use crate::desk::Desk;
-use crate::error::CliError;
+use crate::error::{CliError, Code};
 use crate::output::{self, calibration as calibration_json};
 use crate::progress::Watcher;
-use crate::shadows;
-use crate::store::Store;
 use crate::views::{keep_report, try_out};
+use scopeservo_library::{Calibrations as _, Cameras as _, Folder, KeptTarget, Targets as _};
 use scopeservo_report as report;
 use scopeservo_scope::{Axis, Frame, Length, Objective, ObjectiveId, StagePose};
 use scopeservo_servo::{
@@ -105,7 +102,7 @@ fn residual_px(watcher: &Watcher) -> Option<f64> {
 
 pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, CliError> {
     // Before anything moves, and before it is opened.
-    store_of(&args.instrument.description)?.try_calibrations(&[])?;
+    library_of(&args.instrument.description)?.try_calibrations(&[])?;
     let desk = Desk::open(&args.instrument, answer)?;
     let mut wanted: Vec<Objective> = match args.objective.is_empty() {
         true => desk.scope.gate().objectives().to_vec(),
@@ -121,7 +118,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
         }
     };
     wanted.sort_by(|a, b| a.magnification.total_cmp(&b.magnification));
-    desk.store.try_calibrations(&wanted)?;
+    desk.library.try_calibrations(&wanted)?;
     answer.put(json!({"calibrations": []}));
     for objective in wanted {
         let mut watcher = Watcher::new(None);
@@ -131,8 +128,8 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
         let z = desk.scope.focus_heights().get(&objective.id).copied();
         let residual = residual_px(&watcher);
         show_calibration(answer, &calibration, residual);
-        let store = &desk.store;
-        let file = store.keep_calibration(&desk.config.name, &calibration, z, residual);
+        let library = &desk.library;
+        let file = library.keep_calibration(&desk.config.name, &calibration, z, residual);
         let file = answer.or_warn(file);
         if let Some(file) = &file {
             say!(answer, "  kept in {}", file.display());
@@ -150,9 +147,9 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
 }
 
 /// Where the instrument's calibrations and targets are kept.
-fn store_of(description: &ConfigArgs) -> Result<Store, CliError> {
+pub(crate) fn library_of(description: &ConfigArgs) -> Result<Folder, CliError> {
     let config = Config::read(&description.config)?;
-    Ok(Store::new(config.resolve(&config.data_folder)))
+    Ok(Folder::new(config.resolve(&config.data_folder)))
 }
 
 fn calibrate_one(
@@ -238,7 +235,7 @@ impl Sink for LastFrame<'_> {
 }
 
 pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool, CliError> {
-    store_of(&args.instrument.description)?.check_new_target(&args.name)?;
+    library_of(&args.instrument.description)?.check_new_target(&args.name)?;
     let desk = Desk::open(&args.instrument, answer)?;
     let objective = desk.objective(args.objective.as_deref())?;
     let mut watcher = Watcher::new(None);
@@ -252,10 +249,10 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
         bring(&desk, &objective, focus, &mut sink)?;
         let stage = desk.scope.gate().position()?;
         // A pixel's size as it was measured, else as it is engraved.
-        let known = desk.store.calibration(&objective).ok().flatten();
+        let known = desk.library.calibration(&objective).ok().flatten();
         let mut save = SaveTarget::new(SaveOptions {
             still: args.still || desk.config.target.still,
-            um_per_px: known.map(|kept| kept.calibration.um_per_px()),
+            calibration: known.map(|kept| kept.calibration),
             ..SaveOptions::default()
         });
         let target = scopeservo_servo::run(&mut save, &desk.scope, &mut sink)?;
@@ -266,7 +263,7 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
     let seen = desk.scope.flat_field();
     let shadows = seen.filter(|now| Some(now) != before.as_ref());
     if let Some(shadows) = &shadows {
-        answer.or_warn(shadows::keep(&desk.store, &desk.config.name, shadows));
+        answer.or_warn(desk.library.keep_shadows(&desk.config.name, shadows));
     }
     let (target, stage) = saved?;
     let (features, moved) = (target.features.len(), target.moved);
@@ -280,7 +277,7 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
         "shadows": desk.scope.flat_field().map_or(0, |seen| seen.shadows()),
     }));
     let file = desk
-        .store
+        .library
         .keep_target(name, &desk.config.name, stage, target, &frame)?;
     answer.put(json!({"file": file.to_string_lossy()}));
     match moved {
@@ -308,53 +305,16 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
     Ok(true)
 }
 
-pub(crate) fn list_targets(args: &TargetListArgs, answer: &Answer) -> Result<bool, CliError> {
-    let store = store_of(&args.description)?;
-    let names = store.target_names()?;
-    answer.put(json!({"targets": []}));
-    if names.is_empty() {
-        say!(
-            answer,
-            "no target is saved yet: scopeservo target save NAME"
-        );
-    }
-    for name in names {
-        // One that is damaged does not keep the others away.
-        let Some(kept) = answer.or_warn(store.target(&name)) else {
-            continue;
-        };
-        say!(
-            answer,
-            "{name:24} {:8} {:5} features  {}  {}",
-            kept.target.objective.0,
-            kept.target.features.len(),
-            kept.saved,
-            kept.instrument
-        );
-        let entry = json!({
-            "name": name,
-            "saved": kept.saved,
-            "instrument": kept.instrument,
-            "objective": kept.target.objective,
-            "features": kept.target.features.len(),
-        });
-        answer.push("targets", entry);
-    }
-    Ok(true)
-}
-
 pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool, CliError> {
     let started = Instant::now();
     check_servo(args.lambda, args.max_iterations)?;
     // What can be wrong without the instrument is found before it is touched.
     let config = Config::read(&args.instrument.description.config)?;
-    let kept = Store::new(config.resolve(&config.data_folder)).target(&args.name)?;
-    if kept.instrument != config.name {
-        return Err(CliError::Usage(format!(
-            "the target '{}' was saved on '{}', and this is '{}': its picture has another scale and other axes",
-            args.name, kept.instrument, config.name
-        )));
-    }
+    let kept = Folder::new(config.resolve(&config.data_folder)).target(&args.name)?;
+    let foreign_um_per_px = match kept.instrument == config.name {
+        true => None,
+        false => Some(foreign_scale(&args.name, &kept, &config, answer)?),
+    };
     try_out(&args.out)?;
     let desk = Desk::open(&args.instrument, answer)?;
     let servo = ServoOptions {
@@ -373,8 +333,11 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
         false => known_calibrations(&desk, size, answer),
     };
     let mut run = Reposition::new(kept.target, options).with_calibrations(known);
+    if let Some(um_per_px) = foreign_um_per_px {
+        run = run.with_foreign_scale(um_per_px);
+    }
     let mut watcher = Watcher::new(None);
-    if let Some(picture) = desk.store.target_picture(&args.name) {
+    if let Some(picture) = desk.library.target_picture(&args.name) {
         watcher.frame(&picture, FrameRole::Target);
     }
     let before = desk.scope.counters();
@@ -426,6 +389,30 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
     Ok(outcome.verdict == Verdict::Arrived)
 }
 
+/// The size of a pixel of a target that another microscope took; what is not known of it cannot be guessed.
+fn foreign_scale(
+    name: &str,
+    kept: &KeptTarget,
+    config: &Config,
+    answer: &Answer,
+) -> Result<f64, CliError> {
+    let Some(taken) = &kept.target.taken else {
+        return Err(CliError::Usage(format!(
+            "the target '{name}' was saved on '{}', and this is '{}': its picture has another scale and other axes, and an earlier version \
+             did not keep which. Save it anew here",
+            kept.instrument, config.name
+        )));
+    };
+    if taken.calibration.is_none() {
+        let what = format!(
+            "the target '{name}' was saved on '{}' with an objective that was not calibrated: its scale is the engraved one",
+            kept.instrument
+        );
+        answer.warn(Code::ForeignTarget, what);
+    }
+    Ok(taken.um_per_px)
+}
+
 /// The calibrations that this instrument and camera made. One that is damaged is measured again on the way.
 fn known_calibrations(
     desk: &Desk,
@@ -433,7 +420,7 @@ fn known_calibrations(
     answer: &Answer,
 ) -> Vec<(ObjectiveId, Calibration)> {
     let objectives = desk.scope.gate().objectives().iter();
-    let kept = objectives.filter_map(|o| answer.or_warn(desk.store.calibration(o)).flatten());
+    let kept = objectives.filter_map(|o| answer.or_warn(desk.library.calibration(o)).flatten());
     // Of another instrument or camera, or another mode of it, it is of no use.
     kept.filter(|k| k.calibration.image_size_px == size_px && k.instrument == desk.config.name)
         .map(|k| (k.calibration.objective.clone(), k.calibration))

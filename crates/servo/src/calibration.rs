@@ -77,6 +77,16 @@ impl Calibration {
         self.stage_from_pixel.det().abs().sqrt() * 1e6
     }
 
+    /// The same axes with pixels of another size, um: another camera at the same objective.
+    pub(crate) fn with_um_per_px(self, um_per_px: f64) -> Self {
+        let factor = um_per_px / self.um_per_px();
+        Self {
+            stage_from_pixel: Mat2(self.stage_from_pixel.0.map(|row| row.map(|v| v * factor))),
+            covariance: None,
+            ..self
+        }
+    }
+
     /// kx, ky and phi when the map has the handedness of Eq. (3); `None` for a mirrored camera or an opposite stage,
     /// which no values of these three describe.
     ///

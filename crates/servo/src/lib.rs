@@ -46,6 +46,6 @@ pub use reposition::{
     MagnificationResult, Outcome, Reason, Reposition, RepositionOptions, Verdict,
 };
 pub use servo::{Servo, ServoOptions, ServoTask};
-pub use target::{Picture, SaveOptions, SaveTarget, Target};
+pub use target::{Picture, SaveOptions, SaveTarget, Taken, Target};
 pub use trial::{Drift, drift_seen, scale_seen};
 pub use vision::{Engine, VisionOptions};

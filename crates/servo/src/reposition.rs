@@ -12,6 +12,7 @@ use crate::{
 use scopeservo_scope::{Instrument, Length, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// Settings of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -121,7 +122,12 @@ enum State {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reposition {
     options: RepositionOptions,
-    target: Target,
+    /// Kept apart from the state, which is small and written often; [`Reposition::with_target`] gives it back.
+    #[serde(skip)]
+    target: Option<Arc<Target>>,
+    /// Size of a pixel of a target from another microscope, um.
+    #[serde(default)]
+    foreign_um_per_px: Option<f64>,
     /// Objectives still to visit, and whether to servo there; the first is for K_t alone.
     legs: Vec<(ObjectiveId, bool)>,
     state: State,
@@ -135,10 +141,11 @@ pub struct Reposition {
 
 impl Reposition {
     /// A run that brings `target` back.
-    pub fn new(target: Target, options: RepositionOptions) -> Self {
+    pub fn new(target: impl Into<Arc<Target>>, options: RepositionOptions) -> Self {
         Self {
             options,
-            target,
+            target: Some(target.into()),
+            foreign_um_per_px: None,
             legs: Vec::new(),
             state: State::Begin,
             calibrations: BTreeMap::new(),
@@ -146,6 +153,34 @@ impl Reposition {
             focus_um: BTreeMap::new(),
             done: Vec::new(),
         }
+    }
+
+    /// Gives a stored run its target back.
+    #[must_use]
+    pub fn with_target(mut self, target: impl Into<Arc<Target>>) -> Self {
+        self.target = Some(target.into());
+        self
+    }
+
+    /// The target was taken by another microscope, where a pixel has this size on the specimen.
+    #[must_use]
+    pub fn with_foreign_scale(mut self, um_per_px: f64) -> Self {
+        self.foreign_um_per_px = Some(um_per_px);
+        self
+    }
+
+    fn target(&self) -> Result<Arc<Target>, ServoError> {
+        let lacks = || ServoError::BadOption("a stored run needs its target".into());
+        self.target.clone().ok_or_else(lacks)
+    }
+
+    /// K_t: the newest calibration of the target's objective, with the pixels of the camera that took it.
+    fn target_calibration(&self, target: &Target) -> Option<Calibration> {
+        let here = self.calibrations.get(&target.objective)?.clone();
+        Some(match self.foreign_um_per_px {
+            None => here,
+            Some(um_per_px) => here.with_um_per_px(um_per_px),
+        })
     }
 
     /// Takes calibrations that are known already: those objectives are not calibrated on the way.
@@ -164,7 +199,7 @@ impl Reposition {
     /// Algorithm 1, lines 2 and 6: the target's objective first, for K_t, unless that is known; then every objective up to the
     /// target's, from the lowest magnification on.
     fn plan(&mut self, scope: &Instrument) -> Result<(), ServoError> {
-        let last = scope.objective(&self.target.objective)?.clone();
+        let last = scope.objective(&self.target()?.objective)?.clone();
         let mut ladder: Vec<_> = scope
             .gate()
             .objectives()
@@ -191,6 +226,7 @@ impl Reposition {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Option<Outcome>, ServoError> {
+        let target = self.target()?;
         if let State::Begin = self.state {
             self.plan(scope)?;
             let engine = Engine::current();
@@ -201,13 +237,13 @@ impl Reposition {
                     .filter(|l| l.1)
                     .map(|l| l.0.clone())
                     .collect(),
-                target_objective: self.target.objective.clone(),
+                target_objective: target.objective.clone(),
                 engine: engine.name,
                 cpu_level: engine.cpu_level,
             };
             tell(scope, sink, event);
-            let features = self.target.features.len();
-            if features < MIN_TARGET_FEATURES && self.target.moved.is_none() {
+            let features = target.features.len();
+            if features < MIN_TARGET_FEATURES && target.moved.is_none() {
                 let message = format!(
                     "the target has {features} features and at least {MIN_TARGET_FEATURES} are needed to recognise it: \
                      save a view with more tissue in focus"
@@ -234,6 +270,7 @@ impl Reposition {
             self.state = self.bring();
             return Ok(None);
         }
+        let target_calibration = self.target_calibration(&target);
         match &mut self.state {
             State::Begin => {}
             State::Bring(bring) => {
@@ -259,7 +296,7 @@ impl Reposition {
                 if let Progress::Done(mut calibration) = calibrate.step(scope, sink)? {
                     let heights = (
                         self.focus_um.get(&objective),
-                        self.focus_um.get(&self.target.objective),
+                        self.focus_um.get(&target.objective),
                     );
                     if let (Some(here), Some(there)) = heights {
                         calibration.parfocal_offset_m = Some(Length::from_um(here - there).m());
@@ -279,12 +316,9 @@ impl Reposition {
                 };
                 // After the last leg's calibration K_t is the newer of its two measurements.
                 let task = ServoTask {
-                    target: &self.target,
+                    target: &target,
                     view_calibration: self.calibrations.get(&objective).ok_or_else(missing)?,
-                    target_calibration: self
-                        .calibrations
-                        .get(&self.target.objective)
-                        .ok_or_else(missing)?,
+                    target_calibration: target_calibration.as_ref().ok_or_else(missing)?,
                     vision: &self.options.vision,
                     options: &self.options.servo,
                 };

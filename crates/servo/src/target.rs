@@ -6,15 +6,18 @@ use crate::kinematics::PlanarPose;
 use crate::pattern::look_around;
 use crate::procedure::{Procedure, Progress};
 use crate::vision::{features, grab, gray, same_objective};
-use crate::{FrameRole, ServoError, Sink, VisionOptions};
+use crate::{Calibration, FrameRole, ServoError, Sink, VisionOptions};
 use base64::Engine as _;
 use scopeservo_registration::likeness::Pair;
 use scopeservo_registration::{
     Estimate, Prior, Rival, find_rivals, periods, register, shifted, undecided,
 };
-use scopeservo_scope::{ErrorKind, Frame, Instrument, ObjectiveId};
+use scopeservo_scope::{
+    ErrorKind, FlatField, Frame, Instrument, Kinematics, ObjectiveId, StagePose,
+};
 use scopeservo_sift::{Features, GrayImage};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// Fewer features than this and a target cannot be told from others.
 pub(crate) const MIN_TARGET_FEATURES: usize = 30;
@@ -38,6 +41,36 @@ pub struct Target {
     /// prove it.
     #[serde(default)]
     pub moved: Option<usize>,
+    /// How it was taken. Targets saved earlier lack it.
+    #[serde(skip)]
+    pub taken: Option<Arc<Taken>>,
+}
+
+/// The frame that a target was made of, and what is known of how it was taken.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Taken {
+    /// As the camera gave it, in full depth.
+    pub frame: Frame,
+    /// What lay on the camera then.
+    pub flat_field: Option<Arc<FlatField>>,
+    /// Size of a pixel on the specimen, um: as calibrated, else as engraved.
+    pub um_per_px: f64,
+    /// The objective's calibration then.
+    pub calibration: Option<Calibration>,
+    /// Where the stage said it was.
+    pub stage: StagePose,
+    /// Which side the stage moves.
+    pub kinematics: Kinematics,
+}
+
+impl Taken {
+    /// The grey picture, without the shadows on the camera, as features are made of it.
+    ///
+    /// # Errors
+    /// [`ServoError::Sift`] when it has no pixels.
+    pub fn gray(&self) -> Result<GrayImage, ServoError> {
+        crate::vision::gray_of(&self.frame, self.flat_field.as_deref())
+    }
 }
 
 impl Target {
@@ -69,6 +102,7 @@ impl Target {
             picture: Some(Picture::of(&image)),
             periods_px: periods(&image),
             moved: None,
+            taken: None,
         };
         Ok((target, image, frame))
     }
@@ -86,7 +120,8 @@ pub struct Picture {
 }
 
 impl Picture {
-    fn of(image: &GrayImage) -> Self {
+    /// Of a grey image.
+    pub fn of(image: &GrayImage) -> Self {
         // Single hot and dead pixels must not set the range.
         let mut sorted = image.data().to_vec();
         let end = sorted.len() / 1000;
@@ -120,8 +155,15 @@ pub struct SaveOptions {
     pub vision: VisionOptions,
     /// Nothing may move: then nobody knows what belongs to the specimen, and the run must prove it.
     pub still: bool,
+    /// The objective's calibration, when there is one.
+    pub calibration: Option<Calibration>,
+}
+
+impl SaveOptions {
     /// Size of a pixel, um, when it is known better than the objective's nominal one.
-    pub um_per_px: Option<f64>,
+    fn um_per_px(&self) -> Option<f64> {
+        self.calibration.as_ref().map(Calibration::um_per_px)
+    }
 }
 
 /// Saves the present view: a frame, a step aside that shows what moves with the stage, and back again.
@@ -187,7 +229,7 @@ impl SaveTarget {
                 None => Ok(()),
                 Some(rival) => Err(ServoError::Repeats {
                     rival: *rival,
-                    um_per_px: self.options.um_per_px,
+                    um_per_px: self.options.um_per_px(),
                 }),
             };
         };
@@ -208,9 +250,59 @@ impl SaveTarget {
             None => Ok(()),
             Some(rival) => Err(ServoError::Repeats {
                 rival,
-                um_per_px: self.options.um_per_px,
+                um_per_px: self.options.um_per_px(),
             }),
         }
+    }
+}
+
+impl SaveTarget {
+    /// Steps aside, and divides out the shadows on the camera where they can be told from the specimen.
+    fn look_aside(
+        &self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        (target, image, frame): (&mut Target, &mut GrayImage, &Frame),
+        home: &PlanarPose,
+    ) -> Result<Aside, ServoError> {
+        let vision = &self.options.vision;
+        let objective = target.objective.clone();
+        let of = (&objective, self.um_per_px(scope, &objective)?);
+        let first = (&*image, &target.features);
+        let aside = step_aside(scope, sink, of, vision, first, home)?;
+        if matches!(&aside, Aside::Seen(seen) if seen.fixed.is_empty()) {
+            return Ok(aside);
+        }
+        let Some(cleaned) = look_around(scope, sink, of, vision, frame, home)? else {
+            return Ok(aside);
+        };
+        target.picture = Some(Picture::of(&cleaned.image));
+        target.periods_px = periods(&cleaned.image);
+        (target.features, *image) = (cleaned.features, cleaned.image);
+        Ok(Aside::Seen(Box::new(cleaned.seen)))
+    }
+
+    /// Size of a pixel: as calibrated, else as engraved.
+    fn um_per_px(&self, scope: &Instrument, objective: &ObjectiveId) -> Result<f64, ServoError> {
+        let nominal = scope.objective(objective)?.nominal_um_per_px;
+        Ok(self.options.um_per_px().unwrap_or(nominal))
+    }
+
+    fn taken(
+        &self,
+        scope: &Instrument,
+        objective: &ObjectiveId,
+        frame: Frame,
+        stage: StagePose,
+    ) -> Result<Taken, ServoError> {
+        Ok(Taken {
+            frame,
+            flat_field: scope.flat_field(),
+            um_per_px: self.um_per_px(scope, objective)?,
+            calibration: self.options.calibration.clone(),
+            stage,
+            kinematics: scope.gate().info().kinematics,
+        })
     }
 }
 
@@ -222,9 +314,10 @@ impl Procedure for SaveTarget {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<Target>, ServoError> {
-        let home = PlanarPose::from(&scope.gate().position()?);
+        let stage = scope.gate().position()?;
         let vision = &self.options.vision;
         let (mut target, mut image, frame) = Target::grab(scope, vision, sink)?;
+        let objective = target.objective.clone();
         let features_seen = target.features.len();
         if features_seen < MIN_TARGET_FEATURES {
             return Err(ServoError::PoorTarget {
@@ -234,57 +327,35 @@ impl Procedure for SaveTarget {
             });
         }
         if self.options.still {
-            let second = grab(scope, sink, FrameRole::Aside, &target.objective)?;
-            let second_image = gray(scope, &second)?;
-            let second = features(&second_image, &vision.view)?;
-            self.refuse_repetition(
-                &target,
-                &image,
-                (&second_image, &second),
-                &same_objective(0.05),
-                |_| true,
-            )?;
+            let second = grab(scope, sink, FrameRole::Aside, &objective)?;
+            let second = gray(scope, &second)?;
+            let seen = features(&second, &vision.view)?;
+            let prior = same_objective(0.05);
+            self.refuse_repetition(&target, &image, (&second, &seen), &prior, |_| true)?;
+            target.taken = Some(Arc::new(self.taken(scope, &objective, frame, stage)?));
             return Ok(Progress::Done(target));
         }
-        let nominal = scope.objective(&target.objective)?.nominal_um_per_px;
-        let um_per_px = self.options.um_per_px.unwrap_or(nominal);
-        let objective = target.objective.clone();
-        let of = (&objective, um_per_px);
-        let first = (&image, &target.features);
-        let mut stepped = step_aside(scope, sink, of, vision, first, &home);
-        // Shadows on the camera are divided out where they can be told from the specimen.
-        let shadows = match &stepped {
-            Ok(Aside::Seen(seen)) => !seen.fixed.is_empty(),
-            Ok(Aside::Nothing { .. }) => true,
-            Err(_) => false,
-        };
-        if shadows {
-            match look_around(scope, sink, of, vision, &frame, &home) {
-                Ok(Some(cleaned)) => {
-                    target.picture = Some(Picture::of(&cleaned.image));
-                    target.periods_px = periods(&cleaned.image);
-                    (target.features, image) = (cleaned.features, cleaned.image);
-                    stepped = Ok(Aside::Seen(Box::new(cleaned.seen)));
-                }
-                Ok(None) => {}
-                Err(error) => stepped = Err(error),
-            }
-        }
+        let home = PlanarPose::from(&stage);
+        let of = (&mut target, &mut image, &frame);
+        let aside = self.look_aside(scope, sink, of, &home);
         // Back, also when a place was refused; a stage that failed or was stopped stays.
-        let stays = match &stepped {
+        let stays = match &aside {
             Err(ServoError::Scope(error)) => error.kind() != ErrorKind::Refused,
             _ => false,
         };
         if !stays {
             scope.move_to(&home.request(&scope.gate().position()?))?;
         }
-        match stepped? {
+        match aside? {
             Aside::Nothing { moved_um } => Err(ServoError::NothingMoves {
                 objective,
                 moved_um,
                 features: features_seen,
             }),
-            Aside::Seen(seen) => Ok(Progress::Done(self.judge(target, &image, &seen)?)),
+            Aside::Seen(seen) => {
+                target.taken = Some(Arc::new(self.taken(scope, &objective, frame, stage)?));
+                Ok(Progress::Done(self.judge(target, &image, &seen)?))
+            }
         }
     }
 }

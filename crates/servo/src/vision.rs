@@ -3,7 +3,7 @@
 use crate::event::tell;
 use crate::{Event, FrameRole, ServoError, Sink};
 use scopeservo_registration::{Prior, RotationPrior, ScalePrior};
-use scopeservo_scope::{Frame, Instrument, ObjectiveId};
+use scopeservo_scope::{FlatField, Frame, Instrument, ObjectiveId};
 use scopeservo_sift::{Features, GrayImage, Sift, Simd};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
@@ -81,8 +81,16 @@ thread_local! {
 
 /// A frame's luminance, without what is known to lie on the camera.
 pub(crate) fn gray(scope: &Instrument, frame: &Frame) -> Result<GrayImage, ServoError> {
+    gray_of(frame, scope.flat_field().as_deref())
+}
+
+/// The same with what lay on the camera when the frame was taken.
+pub(crate) fn gray_of(
+    frame: &Frame,
+    flat_field: Option<&FlatField>,
+) -> Result<GrayImage, ServoError> {
     let mut luminance = frame.luminance();
-    if let Some(flat_field) = scope.flat_field() {
+    if let Some(flat_field) = flat_field {
         flat_field.correct(frame.width, frame.height, &mut luminance);
     }
     Ok(GrayImage::new(frame.width, frame.height, luminance)?)

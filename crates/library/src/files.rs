@@ -18,7 +18,10 @@ const ABANDONED: Duration = Duration::from_secs(60);
 const TRIAL: [u8; 1024] = [0; 1024];
 
 /// Writes a file, and never over another: `false` when there is one of that name.
-pub(crate) fn write_new(path: &Path, bytes: &[u8]) -> io::Result<bool> {
+///
+/// # Errors
+/// What the system says.
+pub fn write_new(path: &Path, bytes: &[u8]) -> io::Result<bool> {
     let taken = match beside(path, bytes)?.persist_noclobber(path) {
         Ok(_) => false,
         Err(e) if e.error.kind() == ErrorKind::AlreadyExists => true,
@@ -29,14 +32,31 @@ pub(crate) fn write_new(path: &Path, bytes: &[u8]) -> io::Result<bool> {
 }
 
 /// Writes a file in place of the one that may be there.
-pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+///
+/// # Errors
+/// What the system says.
+pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     beside(path, bytes)?.persist(path).map_err(|e| e.error)?;
     sync(folder_of(path));
     Ok(())
 }
 
+/// Like [`replace`], where losing this file to a power cut while the one before stays does no harm: its folder is left to the system.
+///
+/// # Errors
+/// What the system says.
+pub fn renew(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    temporary(folder_of(path), bytes)?
+        .persist(path)
+        .map_err(|e| e.error)?;
+    Ok(())
+}
+
 /// Makes a folder that lasts.
-pub(crate) fn make_folder(folder: &Path) -> io::Result<()> {
+///
+/// # Errors
+/// What the system says.
+pub fn make_folder(folder: &Path) -> io::Result<()> {
     let new: Vec<&Path> = folder.ancestors().take_while(|f| !is_there(f)).collect();
     fs::create_dir_all(folder)?;
     new.into_iter().for_each(|made| sync(folder_of(made)));
@@ -44,13 +64,16 @@ pub(crate) fn make_folder(folder: &Path) -> io::Result<()> {
 }
 
 /// Whether files can be written into a folder, or, where it is yet to be made, into the one that it will lie in. Nothing stays.
-pub(crate) fn try_folder(folder: &Path) -> io::Result<()> {
+///
+/// # Errors
+/// What the system says.
+pub fn try_folder(folder: &Path) -> io::Result<()> {
     let nearest = folder.ancestors().find(|f| is_there(f));
     temporary(nearest.unwrap_or(Path::new(".")), &TRIAL).map(drop)
 }
 
 /// Keeps other programs away from a folder for as long as the answer lives. `None` where the file system knows no locks.
-pub(crate) fn lock(folder: &Path) -> Option<File> {
+pub fn lock(folder: &Path) -> Option<File> {
     let file = File::create(folder.join(".lock")).ok()?;
     file.lock().ok().map(|()| file)
 }

@@ -1,0 +1,271 @@
+//! Calibrations: a new one lies beside the old ones, numbered in the order in which they were made; the newest counts.
+
+use crate::LibraryError;
+use crate::files::{make_folder, write_new};
+use crate::folder::{Folder, SCHEMA, entries, is_json, read, to_json};
+use crate::names::{file_name, number_of, utc};
+use scopeservo_scope::{Length, Objective, ObjectiveId};
+use scopeservo_servo::{CalibrateOptions, Calibration};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use std::time::SystemTime;
+
+/// A calibration as it is kept.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct KeptCalibration {
+    /// Version of the file.
+    pub schema: u32,
+    /// When, UTC.
+    pub made: String,
+    /// The instrument's name.
+    pub instrument: String,
+    /// The calibration.
+    pub calibration: Calibration,
+    /// Where the objective was in focus, stage z.
+    pub focus_z_um: Option<f64>,
+    /// Root mean square residual of its views.
+    pub residual_px: Option<f64>,
+}
+
+/// Whether a calibration can be one of this objective: by the rules that a new one must pass.
+fn judge(calibration: &Calibration, objective: &Objective) -> Result<(), String> {
+    let rules = CalibrateOptions::default();
+    let [[a, b], [c, d]] = calibration.stage_from_pixel.0;
+    let centre_m = calibration.rotation_centre_m.unwrap_or_default();
+    let covariance = calibration.covariance.unwrap_or_default();
+    let variances = covariance.iter().enumerate().map(|(i, row)| row[i]);
+    let mut numbers = [a, b, c, d].into_iter().chain(centre_m);
+    let [large, small] = calibration.stage_from_pixel.svd().s;
+    let (measured, nominal) = (calibration.um_per_px(), objective.nominal_um_per_px);
+    let factor = (measured / nominal).max(nominal / measured);
+    if calibration.objective != objective.id {
+        return Err(format!(
+            "it is of {}, and lies with those of {}",
+            calibration.objective, objective.id
+        ));
+    }
+    if !numbers.all(|v| v.abs() < LARGEST_M) || !variances.into_iter().all(|v| v >= 0.0) {
+        return Err("its numbers are those of no calibration".into());
+    }
+    if factor > rules.nominal_factor {
+        return Err(format!(
+            "it gives {measured:.3} um per pixel where {nominal:.3} is engraved"
+        ));
+    }
+    if large > rules.anisotropy * small {
+        return Err(format!(
+            "a pixel would be {:.2} times longer one way than the other",
+            large / small
+        ));
+    }
+    Ok(())
+}
+
+/// No part of a microscope is farther from another, metres.
+const LARGEST_M: f64 = 10.0;
+
+/// The calibrations of an instrument.
+pub trait Calibrations {
+    /// The newest calibration of an objective. One that is damaged is none: an error tells which, and the others count all the same.
+    ///
+    /// # Errors
+    /// [`LibraryError::Read`], [`LibraryError::Damaged`].
+    fn calibration(&self, objective: &Objective) -> Result<Option<KeptCalibration>, LibraryError>;
+
+    /// Whether calibrations of these objectives could be kept, before anything is done for them.
+    ///
+    /// # Errors
+    /// [`LibraryError::CannotWrite`].
+    fn try_calibrations(&self, of: &[Objective]) -> Result<(), LibraryError>;
+
+    /// Keeps a calibration beside the earlier ones. Returns where it lies.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotKept`].
+    fn keep_calibration(
+        &self,
+        instrument: &str,
+        calibration: &Calibration,
+        focus_z: Option<Length>,
+        residual_px: Option<f64>,
+    ) -> Result<PathBuf, LibraryError>;
+}
+
+impl Folder {
+    fn calibrations_of(&self, id: &ObjectiveId) -> PathBuf {
+        self.path().join("calibrations").join(file_name(&id.0))
+    }
+}
+
+impl Calibrations for Folder {
+    fn calibration(&self, objective: &Objective) -> Result<Option<KeptCalibration>, LibraryError> {
+        let files = entries(&self.calibrations_of(&objective.id))?.into_iter();
+        // Numbered in the order in which they were made, whatever a clock said.
+        let newest = files
+            .filter(|p| is_json(p))
+            .max_by_key(|p| (number_of(p), p.clone()));
+        let Some(path) = newest else { return Ok(None) };
+        let kept: KeptCalibration = read(&path)?;
+        let what = match judge(&kept.calibration, objective) {
+            Ok(()) => return Ok(Some(kept)),
+            Err(what) => {
+                format!("{what}. Move it away for the one before to count, or calibrate again")
+            }
+        };
+        Err(LibraryError::Damaged { path, what })
+    }
+
+    fn try_calibrations(&self, of: &[Objective]) -> Result<(), LibraryError> {
+        self.try_folder(&self.path().join("calibrations"))?;
+        of.iter()
+            .try_for_each(|objective| self.try_folder(&self.calibrations_of(&objective.id)))
+    }
+
+    fn keep_calibration(
+        &self,
+        instrument: &str,
+        calibration: &Calibration,
+        focus_z: Option<Length>,
+        residual_px: Option<f64>,
+    ) -> Result<PathBuf, LibraryError> {
+        let folder = self.calibrations_of(&calibration.objective);
+        make_folder(&folder).map_err(LibraryError::not_kept(&folder))?;
+        let made = utc(SystemTime::now());
+        let kept = KeptCalibration {
+            schema: SCHEMA,
+            made: made.clone(),
+            instrument: instrument.into(),
+            calibration: calibration.clone(),
+            focus_z_um: focus_z.map(Length::um),
+            residual_px,
+        };
+        let bytes = to_json(&kept)?;
+        loop {
+            let last = entries(&folder)?.iter().map(|p| number_of(p)).max();
+            let number = last.unwrap_or(0) + 1;
+            let path = folder.join(format!("{number:06}_{}.json", made.replace(':', "-")));
+            // Another process may make one at the same time: whichever comes second takes the next number.
+            if write_new(&path, &bytes).map_err(LibraryError::not_kept(&path))? {
+                return Ok(path);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scopeservo_geometry::Mat2;
+    use std::fs;
+
+    fn objective() -> Objective {
+        Objective {
+            id: ObjectiveId("Plan 40x/0.65".into()),
+            magnification: 400.0,
+            numerical_aperture: 0.65,
+            nominal_um_per_px: 0.2,
+        }
+    }
+
+    fn calibration(um_per_px: f64) -> Calibration {
+        Calibration {
+            schema: scopeservo_servo::CALIBRATION_SCHEMA,
+            objective: objective().id,
+            image_size_px: [640, 480],
+            stage_from_pixel: Mat2::diagonal(um_per_px * 1e-6, um_per_px * 1e-6),
+            rotation_centre_m: None,
+            covariance: None,
+            backlash_m: None,
+            parcentric_offset_m: None,
+            parfocal_offset_m: None,
+        }
+    }
+
+    #[test]
+    fn the_newest_calibration_counts_and_the_older_ones_stay() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().join("data"));
+        let newest = || folder.calibration(&objective());
+        assert_eq!(newest().unwrap(), None);
+        let z = Some(Length::from_um(-12.5));
+        // One from before files were numbered, and from a clock that was ahead; and one with a number that cannot be counted on from.
+        let files = folder.calibrations_of(&objective().id);
+        fs::create_dir_all(&files).unwrap();
+        for name in ["2099-01-01T00-00-00Z.json", "18446744073709551615_x.json"] {
+            fs::write(files.join(name), "{}").unwrap();
+        }
+        let files: Vec<PathBuf> = [0.19, 0.2, 0.21]
+            .map(|um_per_px| {
+                let calibration = calibration(um_per_px);
+                let kept = folder.keep_calibration("lab", &calibration, z, None);
+                kept.unwrap()
+            })
+            .into();
+        assert!(files.iter().all(|f| f.exists()));
+        let kept = newest().unwrap().unwrap();
+        assert_eq!(kept.calibration, calibration(0.21));
+        assert!((kept.focus_z_um.unwrap() + 12.5).abs() < 1e-9);
+        // What is damaged is none, and is named; the one before counts when it is moved away.
+        for (text, said) in [
+            ("{\"schema\":1,", "is damaged"),
+            ("{}", "is damaged"),
+            ("{\"schema\":7}", "schema 7"),
+        ] {
+            fs::write(&files[2], text).unwrap();
+            let damaged = newest().unwrap_err().to_string();
+            assert!(damaged.contains(said), "{damaged}");
+            assert!(damaged.contains(files[2].to_str().unwrap()), "{damaged}");
+        }
+        fs::remove_file(&files[2]).unwrap();
+        assert_eq!(newest().unwrap().unwrap().calibration, calibration(0.2));
+    }
+
+    #[test]
+    fn a_damaged_calibration_is_none() {
+        let objective = Objective {
+            id: ObjectiveId("10x".into()),
+            magnification: 100.0,
+            numerical_aperture: 0.25,
+            nominal_um_per_px: 0.5,
+        };
+        let sound = Calibration {
+            schema: scopeservo_servo::CALIBRATION_SCHEMA,
+            objective: objective.id.clone(),
+            image_size_px: [640, 480],
+            stage_from_pixel: Mat2([[-5.1e-7, 1e-8], [1e-8, 5.0e-7]]),
+            rotation_centre_m: Some([-0.01, 0.2]),
+            covariance: Some([[1e-20; 6]; 6]),
+            backlash_m: None,
+            parcentric_offset_m: None,
+            parfocal_offset_m: None,
+        };
+        assert_eq!(judge(&sound, &objective), Ok(()));
+        let scaled = |f: f64| Mat2(sound.stage_from_pixel.0.map(|row| row.map(|v| f * v)));
+        for map in [
+            Mat2::diagonal(0.0, 0.0),
+            Mat2::diagonal(1e308, 1e308),
+            Mat2::diagonal(1e-200, 1e-200),
+            Mat2::diagonal(f64::NAN, 5e-7),
+            scaled(1000.0),
+            scaled(0.001),
+            scaled(2.0),
+            // The same area, sheared.
+            Mat2::diagonal(5e-10, 5e-4),
+        ] {
+            let damaged = Calibration {
+                stage_from_pixel: map,
+                ..sound.clone()
+            };
+            assert!(judge(&damaged, &objective).is_err(), "{map:?}");
+        }
+        let mut damaged = sound.clone();
+        damaged.rotation_centre_m = Some([1e308, 0.0]);
+        assert!(judge(&damaged, &objective).is_err());
+        damaged = sound.clone();
+        damaged.covariance = Some([[-1.0; 6]; 6]);
+        assert!(judge(&damaged, &objective).is_err());
+        damaged = sound;
+        damaged.objective = ObjectiveId("40x".into());
+        assert!(judge(&damaged, &objective).is_err());
+    }
+}

@@ -1,0 +1,125 @@
+//! The shadows of dust on an instrument's camera on disk: a grey picture of 16 bits, where 16384 is a pixel that gets all of its light.
+
+use crate::LibraryError;
+use crate::files::{self, make_folder};
+use crate::folder::Folder;
+use crate::names::file_name;
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder as _};
+use scopeservo_scope::FlatField;
+use std::path::PathBuf;
+
+/// The level of a pixel on which nothing lies.
+const CLEAR: f32 = 16384.0;
+
+/// The shadows on an instrument's cameras.
+pub trait Cameras {
+    /// Those that were seen last with pictures of that size; `None` when none ever were.
+    ///
+    /// # Errors
+    /// [`LibraryError::Read`], [`LibraryError::Damaged`].
+    fn shadows(
+        &self,
+        instrument: &str,
+        size_px: [usize; 2],
+    ) -> Result<Option<FlatField>, LibraryError>;
+
+    /// Keeps those that were seen now, in place of those of before. Returns where they lie.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotKept`].
+    fn keep_shadows(&self, instrument: &str, seen: &FlatField) -> Result<PathBuf, LibraryError>;
+}
+
+impl Folder {
+    fn shadows_of(&self, instrument: &str, [width, height]: [usize; 2]) -> PathBuf {
+        let name = format!("{}-{width}x{height}.png", file_name(instrument));
+        self.path().join("cameras").join(name)
+    }
+}
+
+impl Cameras for Folder {
+    fn shadows(
+        &self,
+        instrument: &str,
+        size_px: [usize; 2],
+    ) -> Result<Option<FlatField>, LibraryError> {
+        let path = self.shadows_of(instrument, size_px);
+        let bytes = match std::fs::read(&path) {
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            bytes => bytes.map_err(LibraryError::read(&path))?,
+        };
+        let seen = from_png(&bytes).map_err(|what| LibraryError::damaged(&path, what))?;
+        match [seen.width(), seen.height()] == size_px {
+            true => Ok(Some(seen)),
+            false => Err(LibraryError::damaged(&path, "it has another size")),
+        }
+    }
+
+    fn keep_shadows(&self, instrument: &str, seen: &FlatField) -> Result<PathBuf, LibraryError> {
+        let path = self.shadows_of(instrument, [seen.width(), seen.height()]);
+        let png = to_png(seen)?;
+        let folder = self.path().join("cameras");
+        make_folder(&folder).map_err(LibraryError::not_kept(&folder))?;
+        files::replace(&path, &png).map_err(LibraryError::not_kept(&path))?;
+        Ok(path)
+    }
+}
+
+/// Shadows from their picture; else what is wrong with it.
+pub(crate) fn from_png(bytes: &[u8]) -> Result<FlatField, String> {
+    let picture = image::load_from_memory_with_format(bytes, image::ImageFormat::Png)
+        .map_err(|e| e.to_string())?
+        .into_luma16();
+    let [width, height] = [picture.width(), picture.height()].map(|v| v as usize);
+    let levels = picture.into_raw().into_iter();
+    let transmission = levels.map(|v| f32::from(v) / CLEAR).collect();
+    FlatField::new(width, height, transmission).map_err(|e| e.to_string())
+}
+
+pub(crate) fn to_png(seen: &FlatField) -> Result<Vec<u8>, LibraryError> {
+    let level = |t: &f32| (t * CLEAR).round().min(65535.0) as u16;
+    let bytes: Vec<u8> = seen
+        .transmission()
+        .iter()
+        .flat_map(|t| level(t).to_ne_bytes())
+        .collect();
+    let [width, height] = [seen.width(), seen.height()].map(|v| v as u32);
+    let mut png = Vec::new();
+    PngEncoder::new(&mut png)
+        .write_image(&bytes, width, height, ExtendedColorType::L16)
+        .map_err(|e| LibraryError::Encode(e.to_string()))?;
+    Ok(png)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seen() -> FlatField {
+        let t = |i: usize| if (100..140).contains(&i) { 0.5 } else { 1.0 };
+        FlatField::new(40, 30, (0..1200).map(t).collect()).unwrap()
+    }
+
+    #[test]
+    fn shadows_come_back_as_they_were_kept() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        assert_eq!(folder.shadows("bench", [40, 30]).unwrap(), None);
+        folder.keep_shadows("bench", &seen()).unwrap();
+        assert_eq!(folder.shadows("bench", [40, 30]).unwrap(), Some(seen()));
+        assert_eq!(folder.shadows("bench", [30, 40]).unwrap(), None);
+        assert_eq!(folder.shadows("other", [40, 30]).unwrap(), None);
+    }
+
+    #[test]
+    fn a_damaged_picture_is_told() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        let path = folder.keep_shadows("bench", &seen()).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+        let error = folder.shadows("bench", [40, 30]).unwrap_err();
+        assert!(matches!(error, LibraryError::Damaged { .. }), "{error}");
+    }
+}

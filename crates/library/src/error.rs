@@ -1,0 +1,102 @@
+//! What can go wrong with what is kept.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// The error of every call to a library.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum LibraryError {
+    /// A name that is none, or under which nothing could be found again.
+    #[error("{0}")]
+    BadName(String),
+    /// There is one of that name, and nothing is overwritten.
+    #[error(
+        "there is a target '{name}' already ({file}), and none is overwritten: give another name, or move its files away"
+    )]
+    Taken {
+        /// The name.
+        name: String,
+        /// Its file.
+        file: PathBuf,
+    },
+    /// There is none of that name.
+    #[error("there is no target '{name}'; {}", known_names(known))]
+    NoTarget {
+        /// The name.
+        name: String,
+        /// Those that there are.
+        known: Vec<String>,
+    },
+    /// A folder takes no files. Found before anything was done for them.
+    #[error(
+        "cannot write to {path}: {source}. Make that possible, or name another data_folder in the description of the instrument"
+    )]
+    CannotWrite {
+        /// The folder.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// Found when something was there to be kept.
+    #[error("{path} could not be kept: {what}. Make room before the next run")]
+    NotKept {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        what: String,
+    },
+    /// A file that cannot be read, or is one of a newer version.
+    #[error("{path} cannot be read: {what}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        what: String,
+    },
+    /// A file that is not what was kept.
+    #[error("{path} is damaged: {what}")]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it, and what to do.
+        what: String,
+    },
+    /// Something could not be made into a file: a mistake of ours.
+    #[error("a file could not be made: {0}")]
+    Encode(String),
+}
+
+fn known_names(known: &[String]) -> String {
+    match known.is_empty() {
+        true => "none is saved yet".into(),
+        false => format!("there are {}", known.join(", ")),
+    }
+}
+
+impl LibraryError {
+    /// What a file at `path` could not be kept for.
+    pub fn not_kept(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.into();
+        |source| Self::NotKept {
+            path,
+            what: source.to_string(),
+        }
+    }
+
+    pub(crate) fn read(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.into();
+        |source| Self::Read {
+            path,
+            what: source.to_string(),
+        }
+    }
+
+    pub(crate) fn damaged(path: &Path, what: impl std::fmt::Display) -> Self {
+        Self::Damaged {
+            path: path.into(),
+            what: format!("{what}. Move it away, or make it again"),
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! A library that is a folder of files.
+
+use crate::LibraryError;
+use crate::files;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Version of the files in JSON.
+pub(crate) const SCHEMA: u32 = 1;
+
+/// A folder with what an instrument keeps.
+#[derive(Debug, Clone)]
+pub struct Folder {
+    folder: PathBuf,
+}
+
+impl Folder {
+    /// The folder need not be there yet.
+    pub fn new(folder: PathBuf) -> Self {
+        Self { folder }
+    }
+
+    /// Where it lies.
+    pub fn path(&self) -> &Path {
+        &self.folder
+    }
+
+    pub(crate) fn try_folder(&self, folder: &Path) -> Result<(), LibraryError> {
+        files::try_folder(folder).map_err(|source| LibraryError::CannotWrite {
+            path: folder.into(),
+            source,
+        })
+    }
+}
+
+pub(crate) fn is_json(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e == "json")
+}
+
+/// What lies in a folder, in order of names; nothing when there is no such folder.
+pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, LibraryError> {
+    let unreadable = |e: std::io::Error| LibraryError::Read {
+        path: folder.into(),
+        what: e.to_string(),
+    };
+    let listing = match fs::read_dir(folder) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        listing => listing.map_err(unreadable)?,
+    };
+    let mut all = Vec::new();
+    for entry in listing {
+        all.push(entry.map_err(unreadable)?.path());
+    }
+    all.sort();
+    Ok(all)
+}
+
+pub(crate) fn read<T: DeserializeOwned>(path: &Path) -> Result<T, LibraryError> {
+    let bad = |what: String| LibraryError::Read {
+        path: path.into(),
+        what,
+    };
+    let damaged = |e: serde_json::Error| LibraryError::Damaged {
+        path: path.into(),
+        what: format!("{e}. Move it away, or make it again"),
+    };
+    let text = fs::read(path).map_err(|e| bad(e.to_string()))?;
+    let value: serde_json::Value = serde_json::from_slice(&text).map_err(damaged)?;
+    match value.get("schema") {
+        Some(schema) if schema != SCHEMA => Err(bad(format!(
+            "it has schema {schema}, and this version reads {SCHEMA}"
+        ))),
+        _ => serde_json::from_value(value).map_err(damaged),
+    }
+}
+
+pub(crate) fn to_json(value: &impl Serialize) -> Result<Vec<u8>, LibraryError> {
+    serde_json::to_vec_pretty(value).map_err(|e| LibraryError::Encode(e.to_string()))
+}

@@ -1,0 +1,279 @@
+//! The journal of the job under way: what a killed program was at, so that the next one can go on with it or end it.
+//!
+//! `head.json` tells the job; `state.json` is replaced before each step. Long strings of the state, such as the features of a reference
+//! frame, are files of their own under their checksum, written once, so that a step writes little.
+
+use crate::LibraryError;
+use crate::files::{self, make_folder};
+use crate::folder::{Folder, SCHEMA, read, to_json};
+use crate::names::file_name;
+use crate::target_file::checksum;
+use scopeservo_scope::{ObjectiveId, StagePose};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A longer string of a state is a file of its own.
+const LONG: usize = 1024;
+const BLOB: &str = "$blob";
+
+/// The job under way.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JournalHead {
+    /// What is done: `reposition`, `calibrate`, ...
+    pub job: String,
+    /// When it began, UTC.
+    pub began: String,
+    /// What it was asked to do.
+    pub inputs: Value,
+    /// Name and id of the target that it refers to.
+    pub target: Option<[String; 2]>,
+}
+
+/// Where it stood before a step.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JournalStep {
+    /// Counts the steps.
+    pub step: u64,
+    /// Where the stage said it was.
+    pub stage: StagePose,
+    /// Whether it knew where it is.
+    pub homed: bool,
+    /// The objective in the beam.
+    pub objective: Option<ObjectiveId>,
+    /// Where things stand, in a few words.
+    pub doing: String,
+    /// The state of the procedure.
+    pub state: Value,
+}
+
+/// What a killed program left.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Journalled {
+    /// The job.
+    pub head: JournalHead,
+    /// Its last step; `None` when it did not come to one.
+    pub step: Option<JournalStep>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Kept<T> {
+    schema: u32,
+    #[serde(flatten)]
+    what: T,
+}
+
+/// The journal of an instrument. There is one job at a time.
+pub trait Journal {
+    /// Begins the journal of a job, in place of what may be there.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotKept`].
+    fn begin_journal(&self, instrument: &str, head: &JournalHead) -> Result<(), LibraryError>;
+
+    /// Replaces the state, before a step. Returns how many bytes were written.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotKept`].
+    fn journal_step(&self, instrument: &str, step: &JournalStep) -> Result<usize, LibraryError>;
+
+    /// The job has ended.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotKept`].
+    fn end_journal(&self, instrument: &str) -> Result<(), LibraryError>;
+
+    /// What was under way when a program was killed; `None` when nothing was.
+    ///
+    /// # Errors
+    /// [`LibraryError::Read`], [`LibraryError::Damaged`].
+    fn journal(&self, instrument: &str) -> Result<Option<Journalled>, LibraryError>;
+}
+
+impl Folder {
+    fn journal_of(&self, instrument: &str) -> PathBuf {
+        self.path().join("journal").join(file_name(instrument))
+    }
+}
+
+impl Journal for Folder {
+    fn begin_journal(&self, instrument: &str, head: &JournalHead) -> Result<(), LibraryError> {
+        self.end_journal(instrument)?;
+        let folder = self.journal_of(instrument);
+        make_folder(&folder).map_err(LibraryError::not_kept(&folder))?;
+        let file = folder.join("head.json");
+        let kept = Kept {
+            schema: SCHEMA,
+            what: head,
+        };
+        files::replace(&file, &to_json(&kept)?).map_err(LibraryError::not_kept(&file))
+    }
+
+    fn journal_step(&self, instrument: &str, step: &JournalStep) -> Result<usize, LibraryError> {
+        let folder = self.journal_of(instrument);
+        let mut written = 0;
+        let mut blobs = Vec::new();
+        let state = without_long(step.state.clone(), &mut blobs);
+        for (name, text) in blobs {
+            let file = folder.join(&name);
+            if !file.exists() {
+                files::replace(&file, text.as_bytes()).map_err(LibraryError::not_kept(&file))?;
+                written += text.len();
+            }
+        }
+        let kept = Kept {
+            schema: SCHEMA,
+            what: JournalStep {
+                state,
+                ..step.clone()
+            },
+        };
+        let bytes = serde_json::to_vec(&kept).map_err(|e| LibraryError::Encode(e.to_string()))?;
+        let file = folder.join("state.json");
+        files::renew(&file, &bytes).map_err(LibraryError::not_kept(&file))?;
+        Ok(written + bytes.len())
+    }
+
+    fn end_journal(&self, instrument: &str) -> Result<(), LibraryError> {
+        let folder = self.journal_of(instrument);
+        // The head first: without it there is no journal, whatever else is left.
+        let gone = |path: &Path| match fs::remove_file(path) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                Err(LibraryError::not_kept(path)(e))
+            }
+            _ => Ok(()),
+        };
+        gone(&folder.join("head.json"))?;
+        for file in crate::folder::entries(&folder)? {
+            gone(&file)?;
+        }
+        Ok(())
+    }
+
+    fn journal(&self, instrument: &str) -> Result<Option<Journalled>, LibraryError> {
+        let folder = self.journal_of(instrument);
+        let (head, state) = (folder.join("head.json"), folder.join("state.json"));
+        if !head.exists() {
+            return Ok(None);
+        }
+        let Kept { what: head, .. } = read::<Kept<JournalHead>>(&head)?;
+        let mut step = None;
+        if state.exists() {
+            let Kept { what, .. } = read::<Kept<JournalStep>>(&state)?;
+            let state = with_long(what.state, &folder)?;
+            step = Some(JournalStep { state, ..what });
+        }
+        Ok(Some(Journalled { head, step }))
+    }
+}
+
+/// Takes the long strings out, each with the name of its file.
+fn without_long(value: Value, blobs: &mut Vec<(String, String)>) -> Value {
+    match value {
+        Value::String(text) if text.len() > LONG => {
+            let name = format!("{}.txt", checksum(text.as_bytes()));
+            blobs.push((name.clone(), text));
+            json!({BLOB: name})
+        }
+        Value::Array(all) => all.into_iter().map(|v| without_long(v, blobs)).collect(),
+        Value::Object(all) => {
+            let all = all.into_iter();
+            let all = all.map(|(key, v)| (key, without_long(v, blobs)));
+            Value::Object(all.collect())
+        }
+        other => other,
+    }
+}
+
+/// Puts the long strings back.
+fn with_long(value: Value, folder: &Path) -> Result<Value, LibraryError> {
+    Ok(match value {
+        Value::Array(all) => {
+            let all = all.into_iter().map(|v| with_long(v, folder));
+            Value::Array(all.collect::<Result<_, _>>()?)
+        }
+        Value::Object(all) => {
+            let blob = all.get(BLOB).and_then(Value::as_str);
+            if let Some(name) = blob.filter(|_| all.len() == 1) {
+                let known: BTreeSet<char> = "0123456789abcdef.txt".chars().collect();
+                let file = folder.join(name);
+                if !name.chars().all(|c| known.contains(&c)) {
+                    return Err(LibraryError::damaged(
+                        folder,
+                        "its state names no file of its own",
+                    ));
+                }
+                let text = fs::read_to_string(&file).map_err(LibraryError::read(&file))?;
+                if name != format!("{}.txt", checksum(text.as_bytes())) {
+                    return Err(LibraryError::damaged(&file, "its checksum is another"));
+                }
+                return Ok(Value::String(text));
+            }
+            let all = all.into_iter();
+            let all = all.map(|(key, v)| Ok((key, with_long(v, folder)?)));
+            Value::Object(all.collect::<Result<_, LibraryError>>()?)
+        }
+        other => other,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn head() -> JournalHead {
+        JournalHead {
+            job: "reposition".into(),
+            began: "2026-11-26T04:00:00Z".into(),
+            inputs: json!({"lambda": 0.7}),
+            target: Some(["mitosis-3".into(), "ab12".into()]),
+        }
+    }
+
+    fn step(n: u64) -> JournalStep {
+        JournalStep {
+            step: n,
+            stage: StagePose::default(),
+            homed: true,
+            objective: Some(ObjectiveId("20x".into())),
+            doing: "servo at 200x".into(),
+            state: json!({"iteration": n, "reference": "f".repeat(100_000), "short": "abc"}),
+        }
+    }
+
+    #[test]
+    fn a_state_comes_back_and_a_step_writes_what_is_new() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        assert_eq!(folder.journal("lab").unwrap(), None);
+        folder.begin_journal("lab", &head()).unwrap();
+        assert_eq!(folder.journal("lab").unwrap().unwrap().step, None);
+        assert!(folder.journal_step("lab", &step(1)).unwrap() > 100_000);
+        assert!(folder.journal_step("lab", &step(2)).unwrap() < 1000);
+        let back = folder.journal("lab").unwrap().unwrap();
+        assert_eq!((back.head, back.step), (head(), Some(step(2))));
+        assert_eq!(folder.journal("other").unwrap(), None);
+        folder.end_journal("lab").unwrap();
+        assert_eq!(folder.journal("lab").unwrap(), None);
+        // The next job begins with nothing of this one.
+        folder.begin_journal("lab", &head()).unwrap();
+        assert_eq!(folder.journal("lab").unwrap().unwrap().step, None);
+    }
+
+    #[test]
+    fn a_damaged_journal_is_told() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        folder.begin_journal("lab", &head()).unwrap();
+        folder.journal_step("lab", &step(1)).unwrap();
+        let blob = crate::folder::entries(&folder.journal_of("lab")).unwrap();
+        let blob = blob
+            .iter()
+            .find(|p| p.extension().is_some_and(|e| e == "txt"));
+        fs::write(blob.unwrap(), "other").unwrap();
+        let error = folder.journal("lab").unwrap_err();
+        assert!(matches!(error, LibraryError::Damaged { .. }), "{error}");
+    }
+}

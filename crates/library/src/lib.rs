@@ -1,0 +1,30 @@
+//! What is kept: targets, calibrations, the shadows on cameras, what every run did, and the journal of the one under way.
+//!
+//! Each is a trait, and a [`Library`] is all of them; [`Folder`] keeps them as files. Nothing is overwritten but what has one place: the
+//! newest shadows of a camera and the journal. A file is there whole or not at all ([`files`]), and what is damaged is told, and does not
+//! keep the rest away.
+
+mod calibrations;
+mod cameras;
+mod error;
+pub mod files;
+mod folder;
+mod journal;
+mod names;
+mod runs;
+mod target_file;
+mod targets;
+
+pub use calibrations::{Calibrations, KeptCalibration};
+pub use cameras::Cameras;
+pub use error::LibraryError;
+pub use folder::Folder;
+pub use journal::{Journal, JournalHead, JournalStep, Journalled};
+pub use names::utc;
+pub use runs::{RunHead, RunLog, Runs};
+pub use targets::{KeptTarget, Targets};
+
+/// Everything that is kept of an instrument.
+pub trait Library: Calibrations + Cameras + Targets + Runs + Journal + Send + Sync {}
+
+impl<T: Calibrations + Cameras + Targets + Runs + Journal + Send + Sync> Library for T {}

@@ -1,0 +1,112 @@
+//! What things are called on disk, and when they were made.
+
+use crate::LibraryError;
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// Names that some systems give to devices, whatever follows a dot.
+const DEVICES: [&str; 4] = ["CON", "PRN", "AUX", "NUL"];
+/// With it a file's name stays within what every file system takes.
+const LONGEST_NAME: usize = 100;
+
+/// Refuses a name under which a target could not be found again: on another system, or by a command line.
+pub(crate) fn check_name(name: &str) -> Result<(), LibraryError> {
+    let stem = name.split('.').next().unwrap_or(name).to_ascii_uppercase();
+    let port = |s: &str| {
+        let number = s.strip_prefix("COM").or_else(|| s.strip_prefix("LPT"));
+        number.is_some_and(|n| n.len() == 1 && n.chars().all(|c| c.is_ascii_digit()))
+    };
+    let why = if name.len() > LONGEST_NAME {
+        format!("it has more than {LONGEST_NAME} characters")
+    } else if name.starts_with('-') {
+        "a command would take it for an option".into()
+    } else if name.ends_with('.') {
+        "some systems drop a dot at the end".into()
+    } else if DEVICES.contains(&stem.as_str()) || port(&stem) {
+        "some systems have a device of that name".into()
+    } else {
+        return Ok(());
+    };
+    Err(LibraryError::BadName(format!(
+        "this target could not be found again everywhere under the name '{}': {why}. Give another, like mitosis-3",
+        name.chars().take(LONGEST_NAME).collect::<String>()
+    )))
+}
+
+/// The number before a file's time; 0 for one without, and for one that no counting comes to.
+pub(crate) fn number_of(path: &Path) -> u64 {
+    let stem = path.file_stem().and_then(|s| s.to_str());
+    let number = stem.and_then(|s| s.split_once('_')).map(|(n, _)| n.parse());
+    let counted = number.and_then(Result::ok).filter(|n| *n < 1_000_000_000);
+    counted.unwrap_or(0)
+}
+
+/// A name as a file's: what is no letter or digit as its number.
+pub(crate) fn file_name(name: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+    name.chars()
+        .map(|c| match plain(c) {
+            true => c.to_string(),
+            false => format!("%{:x}", u32::from(c)),
+        })
+        .collect()
+}
+
+/// A moment in UTC, to the second: 2026-11-24T20:15:00Z.
+pub fn utc(at: SystemTime) -> String {
+    let seconds = at.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let (days, rest) = (seconds / 86_400, seconds % 86_400);
+    // Days since 0000-03-01, in eras of 400 years (Hinnant, "chrono-compatible low-level date algorithms").
+    let z = days + 719_468;
+    let (era, day_of_era) = (z / 146_097, z % 146_097);
+    let year_of_era =
+        (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month_from_march = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
+    let month = (month_from_march + 2) % 12 + 1;
+    let year = era * 400 + year_of_era + u64::from(month <= 2);
+    let (h, m, s) = (rest / 3600, rest / 60 % 60, rest % 60);
+    format!("{year:04}-{month:02}-{day:02}T{h:02}:{m:02}:{s:02}Z")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn times_are_those_of_the_calendar() {
+        for (seconds, text) in [
+            (0, "1970-01-01T00:00:00Z"),
+            (951_782_399, "2000-02-28T23:59:59Z"),
+            (951_782_400, "2000-02-29T00:00:00Z"),
+            (1_709_251_199, "2024-02-29T23:59:59Z"),
+            (1_795_551_300, "2026-11-24T20:15:00Z"),
+            (4_107_542_400, "2100-03-01T00:00:00Z"),
+        ] {
+            assert_eq!(utc(UNIX_EPOCH + Duration::from_secs(seconds)), text);
+        }
+    }
+
+    #[test]
+    fn a_name_that_could_not_be_found_again_is_refused() {
+        let long = "a".repeat(251);
+        for bad in [
+            "-rf", "--json", "a.", "CON", "con.", "nul.json", "com1", &long,
+        ] {
+            assert!(check_name(bad).is_err(), "{bad}");
+        }
+        for good in ["t1", "mitosis-3.b_2", "console", "COM10", "com"] {
+            assert!(check_name(good).is_ok(), "{good}");
+        }
+    }
+
+    #[test]
+    fn a_number_that_no_counting_comes_to_is_none() {
+        assert_eq!(number_of(Path::new("000042_2026.json")), 42);
+        for none in ["2026-11-24.json", "18446744073709551615_x.json", "x_1.json"] {
+            assert_eq!(number_of(Path::new(none)), 0, "{none}");
+        }
+    }
+}

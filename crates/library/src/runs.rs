@@ -1,0 +1,203 @@
+//! What every run did: a folder for each, with what it was asked, its events as they came, and its answer.
+
+use crate::LibraryError;
+use crate::files::{self, make_folder};
+use crate::folder::{Folder, SCHEMA, entries, to_json};
+use crate::names::{file_name, number_of, utc};
+use scopeservo_servo::Stamped;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::fs::{self, File};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+/// What a run was asked.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunHead {
+    /// What was done: `reposition`, `calibrate`, ...
+    pub job: String,
+    /// The instrument's name.
+    pub instrument: String,
+    /// The program and its version.
+    pub version: String,
+    /// What it was asked to do.
+    pub inputs: Value,
+}
+
+#[derive(Serialize)]
+struct Kept<'a> {
+    schema: u32,
+    began: &'a str,
+    #[serde(flatten)]
+    head: &'a RunHead,
+}
+
+/// The runs of a library.
+pub trait Runs {
+    /// Begins the record of a run.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotKept`].
+    fn begin_run(&self, head: &RunHead) -> Result<Box<dyn RunLog>, LibraryError>;
+
+    /// Where the runs lie, the oldest first.
+    ///
+    /// # Errors
+    /// [`LibraryError::Read`].
+    fn runs(&self) -> Result<Vec<PathBuf>, LibraryError>;
+}
+
+/// The record of one run.
+pub trait RunLog: Send {
+    /// Where it lies.
+    fn place(&self) -> &Path;
+
+    /// Adds an event. What cannot be written is told at the end, and keeps nothing up.
+    fn event(&mut self, event: &Stamped);
+
+    /// Adds a file, such as a report.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotKept`].
+    fn attach(&mut self, name: &str, bytes: &[u8]) -> Result<(), LibraryError>;
+
+    /// Writes the answer, and makes the events last.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotKept`], also for events that could not be written.
+    fn end(&mut self, answer: &Value) -> Result<(), LibraryError>;
+}
+
+struct Record {
+    folder: PathBuf,
+    events: File,
+    lost: Option<LibraryError>,
+}
+
+impl Folder {
+    fn run_folder(&self) -> PathBuf {
+        self.path().join("runs")
+    }
+}
+
+impl Runs for Folder {
+    fn begin_run(&self, head: &RunHead) -> Result<Box<dyn RunLog>, LibraryError> {
+        let runs = self.run_folder();
+        make_folder(&runs).map_err(LibraryError::not_kept(&runs))?;
+        let began = utc(SystemTime::now());
+        let name = format!("{}_{}", began.replace(':', "-"), file_name(&head.job));
+        let folder = loop {
+            let last = self.runs()?.iter().map(|p| number_of(p)).max();
+            let folder = runs.join(format!("{:06}_{name}", last.unwrap_or(0) + 1));
+            // Another program may begin one at the same time: whichever comes second takes the next number.
+            match fs::create_dir(&folder) {
+                Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {}
+                made => {
+                    made.map_err(LibraryError::not_kept(&folder))?;
+                    break folder;
+                }
+            }
+        };
+        let kept = Kept {
+            schema: SCHEMA,
+            began: &began,
+            head,
+        };
+        let file = folder.join("run.json");
+        files::replace(&file, &to_json(&kept)?).map_err(LibraryError::not_kept(&file))?;
+        let events = folder.join("events.jsonl");
+        let events = File::create_new(&events).map_err(LibraryError::not_kept(&events))?;
+        Ok(Box::new(Record {
+            folder,
+            events,
+            lost: None,
+        }))
+    }
+
+    fn runs(&self) -> Result<Vec<PathBuf>, LibraryError> {
+        let all = entries(&self.run_folder())?.into_iter();
+        let mut all: Vec<PathBuf> = all.filter(|p| p.is_dir()).collect();
+        all.sort_by_key(|p| (number_of(p), p.clone()));
+        Ok(all)
+    }
+}
+
+impl RunLog for Record {
+    fn place(&self) -> &Path {
+        &self.folder
+    }
+
+    fn event(&mut self, event: &Stamped) {
+        let file = self.folder.join("events.jsonl");
+        let line = serde_json::to_string(event).map_err(|e| LibraryError::Encode(e.to_string()));
+        let written = line.and_then(|line| {
+            let whole = format!("{line}\n");
+            let all = self.events.write_all(whole.as_bytes());
+            all.map_err(LibraryError::not_kept(&file))
+        });
+        if let (Err(error), None) = (written, &self.lost) {
+            self.lost = Some(error);
+        }
+    }
+
+    fn attach(&mut self, name: &str, bytes: &[u8]) -> Result<(), LibraryError> {
+        let file = self.folder.join(name);
+        files::replace(&file, bytes).map_err(LibraryError::not_kept(&file))
+    }
+
+    fn end(&mut self, answer: &Value) -> Result<(), LibraryError> {
+        let bytes = to_json(answer)?;
+        self.attach("answer.json", &bytes)?;
+        let events = self.folder.join("events.jsonl");
+        self.events
+            .sync_all()
+            .map_err(LibraryError::not_kept(&events))?;
+        self.lost.take().map_or(Ok(()), Err)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scopeservo_servo::Event;
+    use serde_json::json;
+
+    #[test]
+    fn every_run_has_a_folder_with_what_was_asked_what_happened_and_the_answer() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        let head = RunHead {
+            job: "reposition".into(),
+            instrument: "lab".into(),
+            version: "scopeservo 0.1.0".into(),
+            inputs: json!({"target": "mitosis-3"}),
+        };
+        for n in 1..=3 {
+            let mut run = folder.begin_run(&head).unwrap();
+            let event = Stamped {
+                time_s: 1.5,
+                event: Event::ShadowsFound { shadows: n },
+            };
+            run.event(&event);
+            run.event(&event);
+            run.end(&json!({"verdict": "arrived"})).unwrap();
+        }
+        let runs = folder.runs().unwrap();
+        assert_eq!(
+            runs.iter().map(|r| number_of(r)).collect::<Vec<_>>(),
+            [1, 2, 3]
+        );
+        let events = fs::read_to_string(runs[2].join("events.jsonl")).unwrap();
+        let lines: Vec<Stamped> = events
+            .lines()
+            .map(|l| serde_json::from_str(l).unwrap())
+            .collect();
+        assert_eq!(lines.len(), 2);
+        assert_eq!(lines[0].event, Event::ShadowsFound { shadows: 3 });
+        let asked: Value =
+            serde_json::from_slice(&fs::read(runs[0].join("run.json")).unwrap()).unwrap();
+        assert_eq!(asked["inputs"]["target"], "mitosis-3");
+        assert!(runs[0].join("answer.json").exists());
+    }
+}

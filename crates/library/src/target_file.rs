@@ -1,0 +1,437 @@
+//! A target as one file that a person can copy: a tar archive of what it was made of.
+//!
+//! | member | what |
+//! |---|---|
+//! | `target.json` | how it was taken: objective, pixel size, stage pose, calibration, exposure, quality |
+//! | `image.png` | the picture as the camera gave it, in full depth; samples of 9 to 15 bits lie in the high bits of 16 |
+//! | `shadows.png` | what lay on the camera, where something did: a grey picture of 16 bits, 16384 is a clear pixel |
+//! | `features.bin` | the features, little endian: "SSF1", width, height, count (u32), then for each x, y, sigma, angle, response (f32), octave (i8), layer (u8), bright (u8), 0, and 128 components (u8) |
+//! | `SHA256SUMS` | the checksums of all others, as `sha256sum --check` reads them; its own is the target's id |
+
+use crate::{KeptTarget, LibraryError, cameras};
+use image::codecs::png::PngEncoder;
+use image::{DynamicImage, ExtendedColorType, ImageEncoder as _};
+use scopeservo_scope::{
+    Channels, FlatField, Frame, Kinematics, ObjectiveId, Samples, StagePose, Timestamp,
+};
+use scopeservo_servo::{Calibration, Picture, Taken, Target};
+use scopeservo_sift::{Descriptor, Features, Keypoint};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::io::Read as _;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Version of the file.
+pub(crate) const TARGET_SCHEMA: u32 = 2;
+const SUMS: &str = "SHA256SUMS";
+const MAGIC: &[u8; 4] = b"SSF1";
+/// Bytes of a feature.
+const FEATURE: usize = 5 * 4 + 4 + 128;
+/// No member of a target is larger.
+const LARGEST: u64 = 1 << 28;
+
+/// `target.json`.
+#[derive(Debug, Serialize, Deserialize)]
+struct Head {
+    schema: u32,
+    saved: String,
+    instrument: String,
+    objective: ObjectiveId,
+    quality: Quality,
+    periods_px: Vec<[f64; 2]>,
+    stage: StagePose,
+    taken: Option<HowTaken>,
+    /// The grey picture of a target that was saved when nothing else was kept of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    picture: Option<Picture>,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct Quality {
+    features: usize,
+    /// How many of them were seen to move with the stage.
+    moved: Option<usize>,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct HowTaken {
+    um_per_px: f64,
+    kinematics: Kinematics,
+    calibration: Option<Calibration>,
+    bit_depth: u8,
+    exposure_s: f64,
+    exposure_start_s: f64,
+    sequence: u64,
+}
+
+/// The bytes of a target's file, and the target's id.
+pub(crate) fn encode(kept: &KeptTarget) -> Result<(Vec<u8>, String), LibraryError> {
+    let target = &kept.target;
+    let taken = target.taken.as_deref();
+    let head = Head {
+        schema: TARGET_SCHEMA,
+        saved: kept.saved.clone(),
+        instrument: kept.instrument.clone(),
+        objective: target.objective.clone(),
+        quality: Quality {
+            features: target.features.len(),
+            moved: target.moved,
+        },
+        periods_px: target.periods_px.clone(),
+        stage: kept.stage,
+        picture: target.picture.clone().filter(|_| taken.is_none()),
+        taken: taken.map(|taken| HowTaken {
+            um_per_px: taken.um_per_px,
+            kinematics: taken.kinematics,
+            calibration: taken.calibration.clone(),
+            bit_depth: taken.frame.bit_depth,
+            exposure_s: taken.frame.exposure.as_secs_f64(),
+            exposure_start_s: taken.frame.exposure_start.seconds(),
+            sequence: taken.frame.sequence,
+        }),
+    };
+    let mut members = vec![("target.json", crate::folder::to_json(&head)?)];
+    if let Some(taken) = taken {
+        members.push(("image.png", picture(&taken.frame)?));
+        if let Some(shadows) = &taken.flat_field {
+            members.push(("shadows.png", cameras::to_png(shadows)?));
+        }
+    }
+    members.push(("features.bin", features(&target.features)));
+    let sums: String = members
+        .iter()
+        .map(|(name, bytes)| format!("{}  {name}\n", checksum(bytes)))
+        .collect();
+    let id = checksum(sums.as_bytes());
+    members.push((SUMS, sums.into_bytes()));
+    let mut archive = tar::Builder::new(Vec::new());
+    for (name, bytes) in members {
+        let mut header = tar::Header::new_ustar();
+        header.set_size(bytes.len() as u64);
+        header.set_mode(0o644);
+        let put = archive.append_data(&mut header, name, bytes.as_slice());
+        put.map_err(|e| LibraryError::Encode(e.to_string()))?;
+    }
+    let bytes = archive.into_inner();
+    Ok((bytes.map_err(|e| LibraryError::Encode(e.to_string()))?, id))
+}
+
+/// The target of a file; else what is wrong with it.
+pub(crate) fn decode(bytes: &[u8]) -> Result<KeptTarget, String> {
+    let members = members(bytes)?;
+    let member = |name: &str| members.get(name).ok_or(format!("it has no {name}"));
+    let id = check(&members)?;
+    let head: serde_json::Value =
+        serde_json::from_slice(member("target.json")?).map_err(|e| e.to_string())?;
+    if head["schema"] != TARGET_SCHEMA {
+        return Err(format!(
+            "it has schema {}, and this version reads {TARGET_SCHEMA}",
+            head["schema"]
+        ));
+    }
+    let head: Head = serde_json::from_value(head).map_err(|e| e.to_string())?;
+    let features = read_features(member("features.bin")?)?;
+    let shadows = members.get("shadows.png").map(|png| cameras::from_png(png));
+    let taken = match head.taken {
+        None => None,
+        Some(how) => Some(taken(
+            how,
+            head.stage,
+            member("image.png")?,
+            shadows.transpose()?,
+        )?),
+    };
+    let gray = taken.as_ref().map(Taken::gray).transpose();
+    let gray = gray.map_err(|e| e.to_string())?;
+    Ok(KeptTarget {
+        id,
+        saved: head.saved,
+        instrument: head.instrument,
+        stage: head.stage,
+        target: Target {
+            objective: head.objective,
+            features,
+            picture: gray.as_ref().map(Picture::of).or(head.picture),
+            periods_px: head.periods_px,
+            moved: head.quality.moved,
+            taken: taken.map(Arc::new),
+        },
+    })
+}
+
+fn members(bytes: &[u8]) -> Result<BTreeMap<String, Vec<u8>>, String> {
+    let mut archive = tar::Archive::new(bytes);
+    let mut members = BTreeMap::new();
+    for entry in archive.entries().map_err(|e| e.to_string())? {
+        let mut entry = entry.map_err(|e| e.to_string())?;
+        let name = entry.path().map_err(|e| e.to_string())?;
+        let name = name.to_string_lossy().into_owned();
+        if entry.size() > LARGEST {
+            return Err(format!("{name} is too large"));
+        }
+        let mut content = Vec::new();
+        entry.read_to_end(&mut content).map_err(|e| e.to_string())?;
+        members.insert(name, content);
+    }
+    Ok(members)
+}
+
+/// Compares all checksums, and tells the id.
+fn check(members: &BTreeMap<String, Vec<u8>>) -> Result<String, String> {
+    let sums = members.get(SUMS).ok_or("its end is missing")?;
+    let text = std::str::from_utf8(sums).map_err(|e| e.to_string())?;
+    let mut told = BTreeMap::new();
+    for line in text.lines() {
+        let (sum, name) = line.split_once("  ").ok_or("its checksums make no sense")?;
+        told.insert(name, sum);
+    }
+    for (name, content) in members.iter().filter(|(name, _)| *name != SUMS) {
+        if told.get(name.as_str()) != Some(&checksum(content).as_str()) {
+            return Err(format!("the checksum of {name} is another"));
+        }
+    }
+    Ok(checksum(sums))
+}
+
+pub(crate) fn checksum(bytes: &[u8]) -> String {
+    let digest = Sha256::digest(bytes);
+    digest.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+fn taken(
+    how: HowTaken,
+    stage: StagePose,
+    png: &[u8],
+    flat_field: Option<FlatField>,
+) -> Result<Taken, String> {
+    let seconds = |s: f64| Duration::try_from_secs_f64(s).map_err(|e| e.to_string());
+    if !(1..=16).contains(&how.bit_depth) || !(how.um_per_px > 0.0) {
+        return Err("its numbers are those of no picture".into());
+    }
+    let image = image::load_from_memory_with_format(png, image::ImageFormat::Png);
+    let shift = 16 - u32::from(how.bit_depth);
+    let low = |samples: Vec<u16>| Samples::U16(samples.into_iter().map(|v| v >> shift).collect());
+    let (width, height, channels, samples) = match image.map_err(|e| e.to_string())? {
+        DynamicImage::ImageLuma8(i) => (
+            i.width(),
+            i.height(),
+            Channels::Gray,
+            Samples::U8(i.into_raw()),
+        ),
+        DynamicImage::ImageRgb8(i) => (
+            i.width(),
+            i.height(),
+            Channels::Rgb,
+            Samples::U8(i.into_raw()),
+        ),
+        DynamicImage::ImageLuma16(i) => (i.width(), i.height(), Channels::Gray, low(i.into_raw())),
+        DynamicImage::ImageRgb16(i) => (i.width(), i.height(), Channels::Rgb, low(i.into_raw())),
+        _ => return Err("its picture is of another kind".into()),
+    };
+    if matches!(samples, Samples::U8(_)) != (how.bit_depth <= 8) {
+        return Err("its picture has another depth".into());
+    }
+    Ok(Taken {
+        frame: Frame {
+            width: width as usize,
+            height: height as usize,
+            channels,
+            bit_depth: how.bit_depth,
+            samples,
+            sequence: how.sequence,
+            exposure_start: Timestamp::from_start(seconds(how.exposure_start_s)?),
+            exposure: seconds(how.exposure_s)?,
+        },
+        flat_field: flat_field.map(Arc::new),
+        um_per_px: how.um_per_px,
+        calibration: how.calibration,
+        stage,
+        kinematics: how.kinematics,
+    })
+}
+
+/// A frame as a PNG that viewers show in its true brightness, and nothing is lost of.
+fn picture(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
+    let shift = 16 - u32::from(frame.bit_depth);
+    let (bytes, color) = match (&frame.samples, frame.channels) {
+        (Samples::U8(s), Channels::Gray) => (s.clone(), ExtendedColorType::L8),
+        (Samples::U8(s), Channels::Rgb) => (s.clone(), ExtendedColorType::Rgb8),
+        (Samples::U16(s), channels) => (
+            s.iter().flat_map(|v| (v << shift).to_ne_bytes()).collect(),
+            match channels {
+                Channels::Gray => ExtendedColorType::L16,
+                Channels::Rgb => ExtendedColorType::Rgb16,
+            },
+        ),
+    };
+    let mut png = Vec::new();
+    PngEncoder::new(&mut png)
+        .write_image(&bytes, frame.width as u32, frame.height as u32, color)
+        .map_err(|e| LibraryError::Encode(e.to_string()))?;
+    Ok(png)
+}
+
+fn features(features: &Features) -> Vec<u8> {
+    let mut bytes = MAGIC.to_vec();
+    for number in [features.width, features.height, features.len()] {
+        bytes.extend((number as u32).to_le_bytes());
+    }
+    for (k, d) in features.keypoints.iter().zip(&features.descriptors) {
+        for v in [k.x, k.y, k.sigma, k.angle, k.response] {
+            bytes.extend(v.to_le_bytes());
+        }
+        bytes.extend([k.octave as i8 as u8, k.layer as u8, u8::from(k.bright), 0]);
+        bytes.extend(d.components());
+    }
+    bytes
+}
+
+fn read_features(bytes: &[u8]) -> Result<Features, String> {
+    let short = || "features.bin is cut off".to_owned();
+    let (magic, rest) = bytes.split_at_checked(4).ok_or_else(short)?;
+    let (sizes, rest) = rest.split_at_checked(12).ok_or_else(short)?;
+    let [width, height, count] = [0, 4, 8].map(|i| {
+        let mut four = [0; 4];
+        four.copy_from_slice(&sizes[i..i + 4]);
+        u32::from_le_bytes(four) as usize
+    });
+    if magic != MAGIC || count.checked_mul(FEATURE) != Some(rest.len()) {
+        return Err(short());
+    }
+    let mut features = Features {
+        width,
+        height,
+        ..Features::default()
+    };
+    for one in rest.chunks_exact(FEATURE) {
+        let real = |i: usize| {
+            let mut four = [0; 4];
+            four.copy_from_slice(&one[4 * i..4 * i + 4]);
+            f32::from_le_bytes(four)
+        };
+        features.keypoints.push(Keypoint {
+            x: real(0),
+            y: real(1),
+            sigma: real(2),
+            angle: real(3),
+            response: real(4),
+            octave: i32::from(one[20] as i8),
+            layer: u32::from(one[21]),
+            bright: one[22] != 0,
+        });
+        let mut components = [0; 128];
+        components.copy_from_slice(&one[24..]);
+        let descriptor = Descriptor::new(components).map_err(|e| e.to_string())?;
+        features.descriptors.push(descriptor);
+    }
+    features.check().map_err(|e| e.to_string())?;
+    Ok(features)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn kept(bit_depth: u8, channels: Channels) -> KeptTarget {
+        let samples = 40 * 30 * if channels == Channels::Rgb { 3 } else { 1 };
+        let top = (1u32 << bit_depth) - 1;
+        let value = |i: usize| (i as u32 * 7919 % (top + 1)) as u16;
+        let samples = match bit_depth {
+            ..=8 => Samples::U8((0..samples).map(|i| value(i) as u8).collect()),
+            _ => Samples::U16((0..samples).map(value).collect()),
+        };
+        let frame = Frame {
+            width: 40,
+            height: 30,
+            channels,
+            bit_depth,
+            samples,
+            sequence: 12,
+            exposure_start: Timestamp::from_start(Duration::from_millis(3250)),
+            exposure: Duration::from_millis(10),
+        };
+        let shadows = |i: usize| if i < 50 { 0.5 } else { 1.0 };
+        let taken = Taken {
+            flat_field: Some(Arc::new(
+                FlatField::new(40, 30, (0..1200).map(shadows).collect()).unwrap(),
+            )),
+            frame,
+            um_per_px: 0.25,
+            calibration: None,
+            stage: StagePose::default(),
+            kinematics: Kinematics::SpecimenXyOnTop,
+        };
+        let keypoint = |i: u8| Keypoint {
+            x: f32::from(i) + 0.125,
+            y: 3.0,
+            sigma: 2.5,
+            angle: -1.0,
+            response: 0.01,
+            bright: i % 2 == 0,
+            octave: i32::from(i) - 1,
+            layer: 2,
+        };
+        let target = Target {
+            objective: ObjectiveId("40x".into()),
+            features: Features {
+                width: 40,
+                height: 30,
+                keypoints: (0..5).map(keypoint).collect(),
+                descriptors: (0..5).map(|i| Descriptor::new([i; 128]).unwrap()).collect(),
+            },
+            picture: Some(Picture::of(&taken.gray().unwrap())),
+            periods_px: vec![[12.0, 0.5]],
+            moved: Some(5),
+            taken: Some(Arc::new(taken)),
+        };
+        KeptTarget {
+            id: String::new(),
+            saved: "2026-11-26T04:00:00Z".into(),
+            instrument: "lab".into(),
+            stage: StagePose::default(),
+            target,
+        }
+    }
+
+    #[test]
+    fn a_target_comes_back_to_the_last_bit() {
+        for bit_depth in [8, 10, 12, 16] {
+            for channels in [Channels::Gray, Channels::Rgb] {
+                let kept = kept(bit_depth, channels);
+                let (bytes, id) = encode(&kept).unwrap();
+                let back = decode(&bytes).unwrap();
+                assert_eq!(back.id, id);
+                assert_eq!(
+                    KeptTarget {
+                        id: String::new(),
+                        ..back
+                    },
+                    kept
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn any_byte_that_was_lost_or_changed_is_noticed_or_does_not_matter() {
+        let kept = kept(8, Channels::Gray);
+        let (bytes, _) = encode(&kept).unwrap();
+        let differs = |damaged: &[u8]| match decode(damaged) {
+            Err(_) => false,
+            Ok(back) => {
+                KeptTarget {
+                    id: String::new(),
+                    ..back
+                } != kept
+            }
+        };
+        for at in (0..bytes.len()).step_by(61) {
+            assert!(!differs(&bytes[..at]), "cut at {at}");
+            let mut changed = bytes.clone();
+            changed[at] ^= 0x10;
+            assert!(!differs(&changed), "changed at {at}");
+        }
+    }
+}

@@ -1,0 +1,373 @@
+//! Saved views. A name is given once, each target is one file that can be copied to another library, and its picture lies beside it for
+//! people.
+
+use crate::files::{self, make_folder, write_new};
+use crate::folder::{Folder, entries, is_json, read};
+use crate::names::{check_name, utc};
+use crate::{LibraryError, target_file};
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder as _};
+use scopeservo_scope::{Channels, Frame, Samples, StagePose, Timestamp};
+use scopeservo_servo::Target;
+use serde::Deserialize;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+/// How a target's file ends.
+const ENDING: &str = "target";
+
+/// A target as it is kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KeptTarget {
+    /// The checksum of all that it is made of; empty for one that is not kept yet, and for one of an earlier version.
+    pub id: String,
+    /// When, UTC.
+    pub saved: String,
+    /// The instrument's name.
+    pub instrument: String,
+    /// Where the stage was.
+    pub stage: StagePose,
+    /// The target.
+    pub target: Target,
+}
+
+/// Schema 1: JSON, the features and a grey picture in it.
+#[derive(Deserialize)]
+struct First {
+    saved: String,
+    instrument: String,
+    stage: StagePose,
+    target: Target,
+}
+
+/// The targets of a library.
+pub trait Targets {
+    /// The names of all targets.
+    ///
+    /// # Errors
+    /// [`LibraryError::Read`].
+    fn target_names(&self) -> Result<Vec<String>, LibraryError>;
+
+    /// A saved target.
+    ///
+    /// # Errors
+    /// [`LibraryError::NoTarget`], [`LibraryError::Damaged`], [`LibraryError::Read`], [`LibraryError::BadName`].
+    fn target(&self, name: &str) -> Result<KeptTarget, LibraryError>;
+
+    /// The picture of a saved target, for people; a target is found again without it.
+    fn target_picture(&self, name: &str) -> Option<Frame>;
+
+    /// Whether targets could be kept, before anything is done for one.
+    ///
+    /// # Errors
+    /// [`LibraryError::CannotWrite`].
+    fn try_targets(&self) -> Result<(), LibraryError>;
+
+    /// Refuses a name that is taken or is none, and a library that takes no targets, before anything is done for it.
+    ///
+    /// # Errors
+    /// [`LibraryError::BadName`], [`LibraryError::Taken`], [`LibraryError::CannotWrite`].
+    fn check_new_target(&self, name: &str) -> Result<(), LibraryError>;
+
+    /// Keeps a target under a new name, with its picture for people. Returns where it lies.
+    ///
+    /// # Errors
+    /// [`LibraryError::Taken`], [`LibraryError::BadName`], [`LibraryError::NotKept`].
+    fn keep_target(
+        &self,
+        name: &str,
+        instrument: &str,
+        stage: StagePose,
+        target: Target,
+        frame: &Frame,
+    ) -> Result<PathBuf, LibraryError>;
+
+    /// Writes a target into a file of its own, which any library can take in; never over another file.
+    ///
+    /// # Errors
+    /// As [`Targets::target`], and [`LibraryError::NotKept`].
+    fn export_target(&self, name: &str, to: &Path) -> Result<(), LibraryError>;
+
+    /// Takes in a target that was exported, under a new name. Returns it.
+    ///
+    /// # Errors
+    /// As [`Targets::keep_target`], and [`LibraryError::Damaged`].
+    fn import_target(&self, from: &Path, name: &str) -> Result<KeptTarget, LibraryError>;
+}
+
+impl Folder {
+    fn targets(&self) -> PathBuf {
+        self.path().join("targets")
+    }
+
+    /// The file that makes a target exist. Its picture lies beside it.
+    fn target_file(&self, name: &str) -> Result<PathBuf, LibraryError> {
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
+            return Err(LibraryError::BadName(format!(
+                "'{name}' is no name for a target: use letters, digits, '-', '_' and '.', like mitosis-3"
+            )));
+        }
+        Ok(self.targets().join(format!("{name}.{ENDING}")))
+    }
+
+    /// Writes the picture, then the file that makes the target exist.
+    fn keep(
+        &self,
+        name: &str,
+        bytes: &[u8],
+        frame: Option<&Frame>,
+    ) -> Result<PathBuf, LibraryError> {
+        let path = self.target_file(name)?;
+        let picture = self.targets().join(format!("{name}.png"));
+        make_folder(&self.targets()).map_err(LibraryError::not_kept(&self.targets()))?;
+        // Another program may save one of that name at the same time: the picture must be that of whichever comes first.
+        let _lock = files::lock(&self.targets());
+        if let Some(file) = self.existing(name)? {
+            return Err(taken(name, file));
+        }
+        // A picture alone is what a killed program left. The file that makes the target exist comes last.
+        if let Some(frame) = frame {
+            files::replace(&picture, &png(frame)?).map_err(LibraryError::not_kept(&picture))?;
+        }
+        match write_new(&path, bytes) {
+            Ok(true) => Ok(path),
+            Ok(false) => Err(taken(name, path)),
+            Err(error) => {
+                // Of no use alone. It is no obstacle either, should it stay.
+                let _ = fs::remove_file(&picture);
+                Err(LibraryError::not_kept(&path)(error))
+            }
+        }
+    }
+
+    /// The file of a target, of this version or the one before.
+    fn existing(&self, name: &str) -> Result<Option<PathBuf>, LibraryError> {
+        let path = self.target_file(name)?;
+        let first = self.targets().join(format!("{name}.json"));
+        Ok([path, first].into_iter().find(|p| p.exists()))
+    }
+}
+
+impl Targets for Folder {
+    fn target_names(&self) -> Result<Vec<String>, LibraryError> {
+        let one = |p: &PathBuf| is_json(p) || p.extension().is_some_and(|e| e == ENDING);
+        let files = entries(&self.targets())?.into_iter().filter(one);
+        let name = |p: PathBuf| Some(p.file_stem()?.to_string_lossy().into_owned());
+        let mut names: Vec<String> = files.filter_map(name).collect();
+        names.sort();
+        names.dedup();
+        Ok(names)
+    }
+
+    fn target(&self, name: &str) -> Result<KeptTarget, LibraryError> {
+        let Some(path) = self.existing(name)? else {
+            return Err(LibraryError::NoTarget {
+                name: name.into(),
+                known: self.target_names()?,
+            });
+        };
+        read_target(&path)
+    }
+
+    fn target_picture(&self, name: &str) -> Option<Frame> {
+        self.target_file(name).ok()?;
+        let path = self.targets().join(format!("{name}.png"));
+        let picture = image::open(path).ok()?.to_rgb8();
+        Some(Frame {
+            width: picture.width() as usize,
+            height: picture.height() as usize,
+            channels: Channels::Rgb,
+            bit_depth: 8,
+            samples: Samples::U8(picture.into_raw()),
+            sequence: 0,
+            exposure_start: Timestamp::default(),
+            exposure: Duration::ZERO,
+        })
+    }
+
+    fn try_targets(&self) -> Result<(), LibraryError> {
+        self.try_folder(&self.targets())
+    }
+
+    fn check_new_target(&self, name: &str) -> Result<(), LibraryError> {
+        self.target_file(name)?;
+        check_name(name)?;
+        self.try_targets()?;
+        // A target must be found again where a file system is blind to case.
+        let mut known = self.target_names()?.into_iter();
+        match known.find(|known| known.eq_ignore_ascii_case(name)) {
+            Some(known) => {
+                let file = self.existing(&known)?.unwrap_or_default();
+                Err(taken(&known, file))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn keep_target(
+        &self,
+        name: &str,
+        instrument: &str,
+        stage: StagePose,
+        target: Target,
+        frame: &Frame,
+    ) -> Result<PathBuf, LibraryError> {
+        let kept = KeptTarget {
+            id: String::new(),
+            saved: utc(SystemTime::now()),
+            instrument: instrument.into(),
+            stage,
+            target,
+        };
+        let (bytes, _) = target_file::encode(&kept)?;
+        self.keep(name, &bytes, Some(frame))
+    }
+
+    fn export_target(&self, name: &str, to: &Path) -> Result<(), LibraryError> {
+        let (bytes, _) = target_file::encode(&self.target(name)?)?;
+        match write_new(to, &bytes).map_err(LibraryError::not_kept(to))? {
+            true => Ok(()),
+            false => Err(LibraryError::NotKept {
+                path: to.into(),
+                what: "there is a file of that name already".into(),
+            }),
+        }
+    }
+
+    fn import_target(&self, from: &Path, name: &str) -> Result<KeptTarget, LibraryError> {
+        self.check_new_target(name)?;
+        let kept = read_target(from)?;
+        let (bytes, id) = target_file::encode(&kept)?;
+        let taken = kept.target.taken.clone();
+        self.keep(name, &bytes, taken.as_deref().map(|t| &t.frame))?;
+        Ok(KeptTarget { id, ..kept })
+    }
+}
+
+/// A target's file, of this version or the one before.
+fn read_target(path: &Path) -> Result<KeptTarget, LibraryError> {
+    if !is_json(path) {
+        let bytes = fs::read(path).map_err(LibraryError::read(path))?;
+        return target_file::decode(&bytes).map_err(|what| LibraryError::damaged(path, what));
+    }
+    let First {
+        saved,
+        instrument,
+        stage,
+        target,
+    } = read(path)?;
+    let sound = target.features.check();
+    sound.map_err(|what| LibraryError::damaged(path, what))?;
+    Ok(KeptTarget {
+        id: String::new(),
+        saved,
+        instrument,
+        stage,
+        target,
+    })
+}
+
+/// A picture for people.
+fn png(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
+    let (width, height) = (frame.width as u32, frame.height as u32);
+    let mut png = Vec::new();
+    PngEncoder::new(&mut png)
+        .write_image(&frame.rgb8(), width, height, ExtendedColorType::Rgb8)
+        .map_err(|e| LibraryError::Encode(e.to_string()))?;
+    Ok(png)
+}
+
+fn taken(name: &str, file: PathBuf) -> LibraryError {
+    LibraryError::Taken {
+        name: name.into(),
+        file,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scopeservo_scope::ObjectiveId;
+
+    /// A view without features: enough to be a file.
+    fn view() -> (Target, Frame) {
+        let target = Target {
+            objective: ObjectiveId("40x".into()),
+            features: scopeservo_sift::Features {
+                width: 4,
+                height: 3,
+                ..Default::default()
+            },
+            picture: None,
+            periods_px: Vec::new(),
+            moved: None,
+            taken: None,
+        };
+        let frame = Frame {
+            width: 4,
+            height: 3,
+            channels: Channels::Gray,
+            bit_depth: 8,
+            samples: Samples::U8(vec![7; 12]),
+            sequence: 0,
+            exposure_start: Timestamp::default(),
+            exposure: Duration::ZERO,
+        };
+        (target, frame)
+    }
+
+    fn keep(folder: &Folder, name: &str) -> Result<PathBuf, LibraryError> {
+        let (target, frame) = view();
+        folder.keep_target(name, "lab", StagePose::default(), target, &frame)
+    }
+
+    /// Whenever a save is killed, the target is whole or not there, and its name is free as long as it is not there.
+    #[test]
+    fn a_killed_save_leaves_no_half_target_and_does_not_take_the_name() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        let targets = folder.targets();
+        fs::create_dir(&targets).unwrap();
+        // Killed between the files: the picture is there, and the file that makes the target exist is not.
+        fs::write(targets.join("spot.png"), "half a picture").unwrap();
+        assert!(folder.target_names().unwrap().is_empty());
+        folder.check_new_target("spot").unwrap();
+        let file = keep(&folder, "spot").unwrap();
+        assert_eq!(folder.target_names().unwrap(), ["spot"]);
+        assert_eq!(folder.target("spot").unwrap().target, view().0);
+        let picture = folder.target_picture("spot").unwrap();
+        assert_eq!((picture.width, picture.height), (4, 3));
+        // Now it is taken, also for the picture, and where case does not count.
+        let before = fs::read(&file).unwrap();
+        for name in ["spot", "SPOT"] {
+            assert!(folder.check_new_target(name).is_err(), "{name}");
+        }
+        assert!(keep(&folder, "spot").is_err());
+        assert_eq!(fs::read(&file).unwrap(), before);
+    }
+
+    #[test]
+    fn a_target_whose_picture_cannot_be_kept_is_not_there() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        fs::create_dir_all(folder.targets().join("spot.png")).unwrap();
+        let error = keep(&folder, "spot").unwrap_err();
+        assert!(matches!(error, LibraryError::NotKept { .. }), "{error}");
+        assert!(folder.target_names().unwrap().is_empty());
+    }
+
+    #[test]
+    fn names_of_targets_stay_in_their_folder() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().join("data"));
+        for bad in ["", ".", "../x", "a/b", "a\\b", "ä", "a b", ".hidden", "C:x"] {
+            assert!(folder.check_new_target(bad).is_err(), "{bad}");
+            assert!(folder.target(bad).is_err(), "{bad}");
+        }
+        assert!(folder.check_new_target("mitosis-3.b_2").is_ok());
+        let none = folder.target("mitosis-3").unwrap_err().to_string();
+        assert!(none.contains("none is saved"), "{none}");
+    }
+}
