@@ -10,7 +10,8 @@ use std::path::Path;
 
 fn ok(folder: &Path, args: &[&str]) -> serde_json::Value {
     let output = scopeservo(folder, args);
-    assert_eq!(code(&output), 0, "{args:?}: {}", stderr(&output));
+    let said = || String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(code(&output), 0, "{args:?}: {} {}", stderr(&output), said());
     json(&output)
 }
 
