@@ -11,7 +11,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 pub(crate) fn run(args: &TwinServeArgs) -> Result<bool, CliError> {
-    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::faster(args.speed));
     let twin = match &args.described_in {
         Some(path) => {
             let config = Config::read(path)?;

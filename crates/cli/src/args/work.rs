@@ -1,0 +1,125 @@
+//! What is asked of an instrument: to move, focus, calibrate and come back.
+
+use super::InstrumentArgs;
+use clap::{Args, Subcommand};
+use std::path::PathBuf;
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo calibrate                       every objective, from the lowest magnification up
+  scopeservo calibrate --objective 40x --json")]
+pub(crate) struct CalibrateArgs {
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// An objective to calibrate; may be repeated. All of them by default.
+    #[arg(long, value_name = "ID")]
+    pub(crate) objective: Vec<String>,
+    /// Do not focus first.
+    #[arg(long)]
+    pub(crate) no_focus: bool,
+    /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo focus
+  scopeservo focus --objective 40x --range-um 20")]
+pub(crate) struct FocusArgs {
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// Bring this objective into the beam first.
+    #[arg(long, value_name = "ID")]
+    pub(crate) objective: Option<String>,
+    /// How far above and below the present height to look: 40 um, and up to 120 um where the best view lies at an end. A range that is
+    /// given is never passed towards the specimen.
+    #[arg(long, value_name = "UM")]
+    pub(crate) range_um: Option<f64>,
+    /// Go to this height first, and focus around it: for a stage that was left retracted.
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    pub(crate) near_z_um: Option<f64>,
+    /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum StageCommand {
+    /// Go to a place, within the rules. A stage that stands outside its limits is brought back by this, towards the inside only.
+    Go(StageGoArgs),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo stage go --x-um 300 --y-um -150
+  scopeservo stage go --z-um -2000        straight away from the specimen: allowed from anywhere
+  scopeservo stage go --rz-deg 0 --json
+
+Goals are places of the stage, not distances. An axis that is not named stays where it is. What a rule does not allow is refused
+whole, and nothing moves. Ctrl-C stops.")]
+pub(crate) struct StageGoArgs {
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    #[command(flatten)]
+    pub(crate) to: PlaceArgs,
+    /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// Goals of axes, one at least.
+#[derive(Debug, Args)]
+#[group(required = true, multiple = true)]
+pub(crate) struct PlaceArgs {
+    /// Along x.
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    pub(crate) x_um: Option<f64>,
+    /// Along y.
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    pub(crate) y_um: Option<f64>,
+    /// Focus.
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    pub(crate) z_um: Option<f64>,
+    /// About x.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    pub(crate) rx_deg: Option<f64>,
+    /// About y.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    pub(crate) ry_deg: Option<f64>,
+    /// About z, in the specimen plane.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    pub(crate) rz_deg: Option<f64>,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo reposition mitosis-3
+  scopeservo reposition mitosis-3 --lambda 0.7 --out run --json
+  scopeservo reposition mitosis-3 --calibrate      measure the objectives anew on the way")]
+pub(crate) struct RepositionArgs {
+    /// The target's name.
+    pub(crate) name: String,
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// Calibrate each objective on the way, also those that are calibrated.
+    #[arg(long)]
+    pub(crate) calibrate: bool,
+    /// Gain: the share of the error that one iteration takes away, above 0 up to 1.
+    #[arg(
+        long,
+        value_name = "F",
+        default_value_t = 0.2,
+        allow_negative_numbers = true
+    )]
+    pub(crate) lambda: f64,
+    /// Iterations at each magnification, at most.
+    #[arg(long, value_name = "N", default_value_t = 64)]
+    pub(crate) max_iterations: usize,
+    /// Folder for the report; that of an earlier run there is replaced.
+    #[arg(long, value_name = "DIR", default_value = "scopeservo-run")]
+    pub(crate) out: PathBuf,
+    /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
