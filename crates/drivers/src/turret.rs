@@ -77,9 +77,9 @@ pub(crate) fn check(places: &[TurretPlace], tolerance_deg: f64) -> Result<(), Sc
 /// What a controller does with the axis of a nosepiece. It is used while its stage stands, and its stage while this stands.
 pub(crate) trait Turns: Send + Sync {
     /// Whether the axis knows where it is.
-    fn knows_place(&self) -> Result<bool, ScopeError>;
+    fn is_homed(&self) -> Result<bool, ScopeError>;
     /// Starts to find its reference, over its whole travel perhaps.
-    fn start_finding(&self) -> Result<(), ScopeError>;
+    fn start_homing(&self) -> Result<(), ScopeError>;
     /// Where it stands.
     fn place_deg(&self) -> Result<f64, ScopeError>;
     /// Starts to turn.
@@ -89,7 +89,7 @@ pub(crate) trait Turns: Send + Sync {
     /// Stops it at once.
     fn stop_turn(&self) -> Result<(), ScopeError>;
     /// It was stopped on the way: where it is, is not known any more, unless the controller measures it.
-    fn doubt_place(&self);
+    fn invalidate_position(&self);
 }
 
 /// A nosepiece that a controller turns.
@@ -173,7 +173,7 @@ impl Nosepiece for Turret {
     }
 
     fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
-        if *lock(&self.doing) != Doing::Nothing || !self.axis.knows_place()? {
+        if *lock(&self.doing) != Doing::Nothing || !self.axis.is_homed()? {
             return Ok(None);
         }
         let here = self.axis.place_deg()?;
@@ -198,11 +198,11 @@ impl Nosepiece for Turret {
             });
         }
         let mut doing = lock(&self.doing);
-        if self.axis.knows_place()? {
+        if self.axis.is_homed()? {
             return self.turn(&mut doing, index, stops);
         }
         let finding = Doing::Finding { then: index, stops };
-        self.begin(&mut doing, finding, stops, || self.axis.start_finding())
+        self.begin(&mut doing, finding, stops, || self.axis.start_homing())
     }
 
     fn poll(&self) -> Result<Motion, ScopeError> {
@@ -235,7 +235,7 @@ impl Nosepiece for Turret {
         if *doing != Doing::Nothing {
             *doing = Doing::Stopped;
             // A stepper may have run on uncounted.
-            self.axis.doubt_place();
+            self.axis.invalidate_position();
             if self.zero_is_given {
                 self.unproven.store(true, Ordering::SeqCst);
             }
@@ -293,10 +293,10 @@ mod tests {
     }
 
     impl Turns for Axis {
-        fn knows_place(&self) -> Result<bool, ScopeError> {
+        fn is_homed(&self) -> Result<bool, ScopeError> {
             Ok(lock(&self.state).known)
         }
-        fn start_finding(&self) -> Result<(), ScopeError> {
+        fn start_homing(&self) -> Result<(), ScopeError> {
             let mut state = lock(&self.state);
             (state.finding, state.stopped) = (true, false);
             state.log.push("find".into());
@@ -329,7 +329,7 @@ mod tests {
             state.log.push("stop".into());
             Ok(())
         }
-        fn doubt_place(&self) {
+        fn invalidate_position(&self) {
             lock(&self.state).known = false;
         }
     }

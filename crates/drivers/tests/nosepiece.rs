@@ -159,7 +159,7 @@ fn a_gcs2_controller_turns_a_nosepiece_too() {
 fn a_gcs2_nosepiece_finds_its_reference_with_the_first_change_and_the_stage_stays() {
     let emulator = hexapod(false);
     let stage = gcs2(&emulator).unwrap();
-    stage.home().unwrap();
+    stage.start_homing().unwrap();
     assert_eq!(settled(|| stage.poll()), Motion::Settled);
     let nosepiece = stage.nosepiece().unwrap();
     let gate = gate(stage, Box::new(nosepiece));

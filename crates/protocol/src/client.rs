@@ -237,16 +237,6 @@ impl Driver {
         self.link.cut();
     }
 
-    /// Finds the reference of the stage, which moves it: only with the user's consent. Returns when the move has begun.
-    ///
-    /// # Errors
-    /// What the driver reports.
-    pub fn start_homing(&self) -> Result<(), ScopeError> {
-        Remote::new(self.link.clone(), "stage")
-            .ask(Call::Home)
-            .map(drop)
-    }
-
     /// Its devices. Time stamps of frames are on `clock`.
     ///
     /// # Errors
@@ -262,10 +252,13 @@ impl Driver {
         let remote = |device| Remote::new(self.link.clone(), device);
         let hello = &self.hello;
         let stage = match &hello.stage {
-            Some(stage) => Some(Box::new(RemoteStage {
-                remote: remote("stage"),
-                info: stage.info().map_err(nonsense("stage"))?,
-            }) as Box<dyn Stage>),
+            Some(stage) => {
+                let info = stage.info().map_err(nonsense("stage"))?;
+                Some(
+                    Box::new(RemoteStage::new(remote("stage"), info, stage.homed))
+                        as Box<dyn Stage>,
+                )
+            }
             None => None,
         };
         let camera = match &hello.camera {

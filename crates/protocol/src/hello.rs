@@ -224,7 +224,7 @@ impl StageHello {
         })
     }
 
-    pub(crate) fn of(info: &StageInfo) -> Self {
+    pub(crate) fn of(info: &StageInfo, homed: bool) -> Self {
         Self {
             name: info.name.clone(),
             moves: match info.kinematics {
@@ -234,7 +234,7 @@ impl StageHello {
             },
             axes: info.axes.iter().map(AxisHello::of).collect(),
             positive_z: info.axis(Axis::Z).map(|_| info.positive_z),
-            homed: true,
+            homed,
         }
     }
 }
@@ -380,10 +380,10 @@ mod tests {
         assert!(stage.homed);
         let info = stage.info().unwrap();
         assert!((info.axis(Axis::X).unwrap().max - 0.05).abs() < 1e-12);
-        assert_eq!(StageHello::of(&info).info().unwrap().axes.len(), 2);
+        assert_eq!(StageHello::of(&info, true).info().unwrap().axes.len(), 2);
         let mut stated = info.clone();
         stated.axes[0].arrival_tolerance = Some(3e-6);
-        let back = StageHello::of(&stated).info().unwrap();
+        let back = StageHello::of(&stated, true).info().unwrap();
         assert!((back.axes[0].tolerance() - 3e-6).abs() < 1e-15);
         assert_eq!(back.axes[1].arrival_tolerance, None);
     }

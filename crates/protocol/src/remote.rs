@@ -94,8 +94,37 @@ impl Remote {
 
 /// A stage of a driver.
 pub(crate) struct RemoteStage {
-    pub(crate) remote: Remote,
-    pub(crate) info: StageInfo,
+    remote: Remote,
+    info: StageInfo,
+    reference: Mutex<Reference>,
+}
+
+/// What the driver said at first, and what came of homing since.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Reference {
+    Known,
+    Unknown,
+    Sought,
+}
+
+impl RemoteStage {
+    pub(crate) fn new(remote: Remote, info: StageInfo, homed: bool) -> Self {
+        let reference = match homed {
+            true => Reference::Known,
+            false => Reference::Unknown,
+        };
+        Self {
+            remote,
+            info,
+            reference: Mutex::new(reference),
+        }
+    }
+
+    fn reference(&self) -> MutexGuard<'_, Reference> {
+        self.reference
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Stage for RemoteStage {
@@ -119,11 +148,28 @@ impl Stage for RemoteStage {
     }
 
     fn poll(&self) -> Result<Motion, ScopeError> {
-        Ok(self.remote.ask_for::<MotionReply>(Call::Motion)?.motion)
+        let motion = self.remote.ask_for::<MotionReply>(Call::Motion)?.motion;
+        let mut reference = self.reference();
+        *reference = match (*reference, motion) {
+            (Reference::Sought, Motion::Settled) => Reference::Known,
+            (Reference::Sought, Motion::Stopped) => Reference::Unknown,
+            (as_before, _) => as_before,
+        };
+        Ok(motion)
     }
 
     fn stop(&self) -> Result<(), ScopeError> {
         self.remote.stop()
+    }
+
+    fn is_homed(&self) -> Result<bool, ScopeError> {
+        Ok(*self.reference() == Reference::Known)
+    }
+
+    fn start_homing(&self) -> Result<(), ScopeError> {
+        self.remote.ask(Call::Home)?;
+        *self.reference() = Reference::Sought;
+        Ok(())
     }
 }
 

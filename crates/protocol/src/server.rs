@@ -85,18 +85,19 @@ fn object(value: Value) -> Object {
 }
 
 impl Offer {
-    fn hello(&self) -> Hello {
-        Hello {
+    fn hello(&self) -> Result<Hello, ScopeError> {
+        let stage = |s: &dyn Stage| Ok::<_, ScopeError>(StageHello::of(s.info(), s.is_homed()?));
+        Ok(Hello {
             protocol: PROTOCOL,
             name: self.name.clone(),
-            stage: self.stage.as_ref().map(|s| StageHello::of(s.info())),
+            stage: self.stage.as_deref().map(stage).transpose()?,
             camera: self.camera.as_ref().map(|c| CameraHello::of(c.info())),
             nosepiece: self
                 .nosepiece
                 .as_ref()
                 .map(|n| NosepieceHello::of(&self.name, n.objectives())),
             light: None,
-        }
+        })
     }
 
     fn stop(&self) -> Result<(), ScopeError> {
@@ -119,14 +120,17 @@ impl Offer {
                 let message = format!("this driver speaks version {PROTOCOL} of the protocol");
                 return Err(No(Code::Unsupported, message));
             }
-            Call::Hello { .. } => json!(self.hello()),
+            Call::Hello { .. } => json!(self.hello()?),
             Call::Position => json!(Place::from(&stage()?.position()?)),
             Call::Move(place) => {
                 stage()?.start_move(&StagePose::from(*place))?;
                 json!({})
             }
             Call::Motion => json!({"motion": stage()?.poll()?}),
-            Call::Home => return Err(No(Code::Unsupported, "nothing here needs homing".into())),
+            Call::Home => {
+                stage()?.start_homing()?;
+                json!({})
+            }
             Call::Stop => {
                 self.stop()?;
                 json!({})

@@ -22,11 +22,13 @@ pub struct AtWork {
     pub retreat_m: f64,
 }
 
-/// A move that was begun.
+/// What the stage was sent on.
 #[derive(Debug, Clone, Copy)]
-struct Way {
-    from: StagePose,
-    to: StagePose,
+enum Way {
+    /// A move.
+    Between { from: StagePose, to: StagePose },
+    /// To its reference, wherever that is.
+    Homing,
 }
 
 /// Stage and nosepiece behind their rules. There is no way to move an [`crate::Instrument`] but through this type: a request is
@@ -41,7 +43,7 @@ pub struct MotionGate {
     /// Limits for all objectives, one for each axis that the stage has.
     ranges: Vec<AxisRange>,
     begin: Mutex<()>,
-    /// The last move that was begun.
+    /// What was begun last.
     way: Mutex<Option<Way>>,
     stops: AtomicU64,
     /// Once cancelled, nothing begins any more.
@@ -145,6 +147,14 @@ impl MotionGate {
         Ok(at)
     }
 
+    /// Whether the stage knows where it is.
+    ///
+    /// # Errors
+    /// What the stage reports.
+    pub fn is_homed(&self) -> Result<bool, ScopeError> {
+        self.stage.is_homed()
+    }
+
     /// What the stage is doing.
     pub fn poll(&self) -> Result<Motion, ScopeError> {
         self.stage.poll()
@@ -202,11 +212,12 @@ impl MotionGate {
         Ok(places.iter().map(may).collect())
     }
 
-    /// Whether the last move that was begun ended where it was sent, and the whole stage stands where it may: to be asked when the stage
-    /// has settled. Returns where it says it is. This is the one place that judges arrivals, of all drivers.
+    /// Whether the last move that was begun ended where it was sent, and the whole stage stands where it may; after homing, whether the
+    /// stage knows where it is, and that is a place where it can be. To be asked when the stage has settled. Returns where it says it is. This is the one place that judges arrivals, of all drivers.
     ///
     /// # Errors
-    /// [`ScopeError::NotArrived`], [`ScopeError::Strayed`], and those of [`MotionGate::position`]; the stage was then told to stop.
+    /// [`ScopeError::NotArrived`], [`ScopeError::Strayed`], [`ScopeError::Device`] for a reference that was not found, and those of
+    /// [`MotionGate::position`]; the stage was then told to stop.
     pub fn arrived(&self) -> Result<StagePose, ScopeError> {
         let answer = self.judge_arrival();
         if answer.is_err() {
@@ -217,13 +228,21 @@ impl MotionGate {
     }
 
     fn judge_arrival(&self) -> Result<StagePose, ScopeError> {
+        let way = *self.way.lock().unwrap_or_else(|e| e.into_inner());
+        if matches!(way, Some(Way::Homing)) && !self.stage.is_homed()? {
+            return Err(ScopeError::Device {
+                device: "stage",
+                detail: "it was homed and still does not know where it is".into(),
+            });
+        }
         let at = self.position()?;
-        let Some(way) = *self.way.lock().unwrap_or_else(|e| e.into_inner()) else {
+        let Some(Way::Between { from, to }) = way else {
+            // A reference may lie outside the user's limits: from there only moves back inside begin.
             return Ok(at);
         };
         for info in &self.info().axes {
             let axis = info.axis;
-            let (Some(goal), Some(there)) = (way.to.si(axis), at.si(axis)) else {
+            let (Some(goal), Some(there)) = (to.si(axis), at.si(axis)) else {
                 continue;
             };
             if !at_most((there - goal).abs(), info.tolerance()) {
@@ -234,7 +253,7 @@ impl MotionGate {
                 });
             }
         }
-        match self.judge(&self.in_beam()?).strayed(&way.from, &at) {
+        match self.judge(&self.in_beam()?).strayed(&from, &at) {
             Some(breach) => Err(ScopeError::Strayed { breach }),
             None => Ok(at),
         }
@@ -244,39 +263,48 @@ impl MotionGate {
     ///
     /// # Errors
     /// Those of [`MotionGate::check`]; [`ScopeError::StepTooLarge`], [`ScopeError::Busy`] while stage or nosepiece move,
-    /// [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report. Unless it is one of the stage's
+    /// [`ScopeError::NotHomed`], [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report. Unless it is one of the stage's
     /// own faults, nothing moved.
     pub fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
         self.check_numbers(to)?;
         let _begin = self.begin();
         let stops = self.stops.load(Ordering::SeqCst);
         self.check_cancel()?;
-        if self.nosepiece.poll()? == Motion::Moving {
-            return Err(ScopeError::Busy {
-                device: "nosepiece",
-            });
-        }
-        if self.stage.poll()? == Motion::Moving {
-            return Err(ScopeError::Busy { device: "stage" });
-        }
+        self.check_idle()?;
+        self.check_homed()?;
         let here = self.position()?;
         let in_beam = self.in_beam()?;
         let judge = self.judge(&in_beam);
         judge.check_goal(&here, to)?;
         judge.check_way(&here, to)?;
         self.begun(self.stage.start_move(to))?;
-        let way = Way {
+        self.begun_way(Way::Between {
             from: here,
             to: *to,
-        };
-        *self.way.lock().unwrap_or_else(|e| e.into_inner()) = Some(way);
+        });
+        self.stopped_meanwhile(stops)
+    }
+
+    /// Starts to find the stage's reference. This may move anything anywhere, which no rule can see beforehand: only with the user's
+    /// consent. [`MotionGate::arrived`] judges where it ended.
+    ///
+    /// # Errors
+    /// [`ScopeError::Busy`] while stage or nosepiece move, [`ScopeError::Interrupted`] when somebody stopped meanwhile;
+    /// [`ScopeError::Refused`] where there is nothing to find; and what the devices report.
+    pub fn start_homing(&self) -> Result<(), ScopeError> {
+        let _begin = self.begin();
+        let stops = self.stops.load(Ordering::SeqCst);
+        self.check_cancel()?;
+        self.check_idle()?;
+        self.begun(self.stage.start_homing())?;
+        self.begun_way(Way::Homing);
         self.stopped_meanwhile(stops)
     }
 
     /// Starts to change the objective if the rules allow it.
     ///
     /// # Errors
-    /// [`ScopeError::NoSuchObjective`], [`ScopeError::NotRetracted`], [`ScopeError::StandsOutside`] and those of the places where the
+    /// [`ScopeError::NoSuchObjective`], [`ScopeError::NotHomed`], [`ScopeError::NotRetracted`], [`ScopeError::StandsOutside`] and those of the places where the
     /// objective that comes may not be, [`ScopeError::Busy`] while stage or nosepiece move,
     /// [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report.
     pub fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
@@ -284,14 +312,8 @@ impl MotionGate {
         let _begin = self.begin();
         let stops = self.stops.load(Ordering::SeqCst);
         self.check_cancel()?;
-        if self.stage.poll()? == Motion::Moving {
-            return Err(ScopeError::Busy { device: "stage" });
-        }
-        if self.nosepiece.poll()? == Motion::Moving {
-            return Err(ScopeError::Busy {
-                device: "nosepiece",
-            });
-        }
+        self.check_idle()?;
+        self.check_homed()?;
         if let Some(work) = self.at_work()? {
             return Err(ScopeError::NotRetracted {
                 at_um: work.here_m * 1e6,
@@ -361,6 +383,27 @@ impl MotionGate {
             true => Err(ScopeError::Interrupted { at: None }),
             false => Ok(()),
         }
+    }
+
+    fn check_idle(&self) -> Result<(), ScopeError> {
+        let idle = |motion: Motion, device| match motion {
+            Motion::Moving => Err(ScopeError::Busy { device }),
+            Motion::Settled | Motion::Stopped => Ok(()),
+        };
+        idle(self.nosepiece.poll()?, "nosepiece")?;
+        idle(self.stage.poll()?, "stage")
+    }
+
+    /// Of a stage that does not know where it is nobody knows what a move would do, nor how far it is from the specimen.
+    fn check_homed(&self) -> Result<(), ScopeError> {
+        match self.stage.is_homed()? {
+            true => Ok(()),
+            false => Err(ScopeError::NotHomed { device: "stage" }),
+        }
+    }
+
+    fn begun_way(&self, way: Way) {
+        *self.way.lock().unwrap_or_else(|e| e.into_inner()) = Some(way);
     }
 
     /// A device that failed to begin may have begun in part: what moves is stopped. A refusal moved nothing.

@@ -17,6 +17,8 @@ const POLL: Duration = Duration::from_millis(5);
 const POLL_CANCEL: Duration = Duration::from_millis(20);
 /// No move of these instruments takes longer.
 const MOVE_TIMEOUT: Duration = Duration::from_secs(120);
+/// Nor homing.
+const HOMING_TIMEOUT: Duration = Duration::from_secs(180);
 /// Nor an objective change, also by somebody who has to come from next door.
 const CHANGE_TIMEOUT: Duration = Duration::from_secs(1800);
 
@@ -204,6 +206,21 @@ impl Instrument {
         }
     }
 
+    /// Lets the stage find its reference, which may move anything anywhere: only with the user's consent. Returns where it says it is
+    /// then.
+    ///
+    /// # Errors
+    /// Those of [`MotionGate::start_homing`] and, of where it ended, [`MotionGate::arrived`]; [`ScopeError::Interrupted`] after the
+    /// token was cancelled (the stage was stopped first); [`ScopeError::MoveAborted`]; [`ScopeError::Timeout`].
+    pub fn home(&self) -> Result<StagePose, ScopeError> {
+        self.check_cancel()?;
+        self.gate.start_homing().map_err(|e| self.seen(e))?;
+        match self.wait("stage", HOMING_TIMEOUT, || self.gate.poll())? {
+            Motion::Settled => self.gate.arrived(),
+            _ => Err(ScopeError::MoveAborted { at: None }),
+        }
+    }
+
     /// Another command begins: what fails from now on goes back to the height at which its first move will find the stage. A new
     /// instrument is at the beginning of its first.
     pub fn command_begins(&self) {
@@ -276,6 +293,8 @@ impl Instrument {
         let stood = self.gate.stop().and_then(|()| self.stand_still());
         match stood {
             Ok(at) => ScopeError::Interrupted { at: Some(at) },
+            // One that was stopped on the way to its reference stands somewhere.
+            Err(ScopeError::NotHomed { .. }) => ScopeError::Interrupted { at: None },
             Err(error) => error,
         }
     }

@@ -301,9 +301,20 @@ pub trait Stage: Send + Sync {
     fn poll(&self) -> Result<Motion, ScopeError>;
     /// Stops at once, wherever it is. Harmless when nothing moves.
     fn stop(&self) -> Result<(), ScopeError>;
+    /// Whether it knows where it is. While it does not, moves are refused with [`ScopeError::NotHomed`].
+    fn is_homed(&self) -> Result<bool, ScopeError> {
+        Ok(true)
+    }
+    /// Starts to find its reference, which may move anything anywhere, and returns at once; [`Stage::poll`] tells when it is over.
+    fn start_homing(&self) -> Result<(), ScopeError> {
+        Err(ScopeError::Refused {
+            device: "stage",
+            detail: "it has no reference to find".into(),
+        })
+    }
 }
 
-/// A stage that is kept in two places: by its gate, and by what homes it or turns a nosepiece on the same controller.
+/// A stage that is kept in two places: by its gate, and by what turns a nosepiece on the same controller.
 impl<T: Stage + ?Sized> Stage for Arc<T> {
     fn info(&self) -> &StageInfo {
         (**self).info()
@@ -319,6 +330,12 @@ impl<T: Stage + ?Sized> Stage for Arc<T> {
     }
     fn stop(&self) -> Result<(), ScopeError> {
         (**self).stop()
+    }
+    fn is_homed(&self) -> Result<bool, ScopeError> {
+        (**self).is_homed()
+    }
+    fn start_homing(&self) -> Result<(), ScopeError> {
+        (**self).start_homing()
     }
 }
 

@@ -9,8 +9,8 @@ use crate::rules::rules;
 use crate::simulated::TwinConfig;
 use scopeservo_protocol::{Devices, Driver, Light, Secret};
 use scopeservo_scope::{
-    Camera, CancelToken, Clock, Instrument, Motion, MotionGate, Nosepiece, Objective, ObjectiveId,
-    ScopeError, Stage, SystemClock, VirtualClock, stand_still,
+    Camera, CancelToken, Clock, Instrument, MotionGate, Nosepiece, Objective, ObjectiveId,
+    ScopeError, SystemClock, VirtualClock,
 };
 use scopeservo_twin::{Twin, TwinError};
 use std::collections::BTreeMap;
@@ -18,9 +18,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
-
-/// No homing takes longer.
-const HOMING: Duration = Duration::from_secs(180);
 
 /// What the user agreed to.
 #[derive(Clone)]
@@ -98,21 +95,24 @@ pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<O
                 .ok_or_else(|| lacks(driver, "light"))?,
         ),
     };
-    // What is wrong with the rules is said before anything moves.
     let rules = rules(config, stage.info(), nosepiece.objectives().len())?;
-    rules.check(stage.info(), nosepiece.objectives())?;
-    if let Some(found) = all.get(devices.stage.as_str()) {
-        found.home(&*stage, &*clock, consent, &cancel)?;
-    }
-    set(config, &*camera, light.as_ref())?;
+    // What is wrong with the rules is said before anything moves.
     let gate = MotionGate::new(stage, nosepiece, rules)?;
+    let scope = Instrument::new(gate, camera, clock, cancel).keeping(held);
+    if !scope.gate().is_homed()? {
+        if !consent.home {
+            return Err(ScopeError::NotHomed { device: "stage" }.into());
+        }
+        scope.home()?;
+    }
+    set(config, scope.camera(), light.as_ref())?;
     let drivers = all
         .iter()
         .map(|(n, f)| ((*n).to_owned(), f.name.clone()))
         .collect();
     let twin = all.into_values().find_map(|found| found.twin);
     Ok(Opened {
-        instrument: Instrument::new(gate, camera, clock, cancel).keeping(held),
+        instrument: scope,
         light,
         twin,
         drivers,
@@ -127,68 +127,7 @@ fn of<'a>(all: &'a mut BTreeMap<&str, Found>, driver: &str) -> Option<&'a mut De
 pub(crate) struct Found {
     pub(crate) name: String,
     pub(crate) devices: Devices,
-    pub(crate) homing: Option<Box<dyn Homing>>,
     pub(crate) twin: Option<Twin>,
-}
-
-/// A stage that may have to find its reference.
-pub(crate) trait Homing {
-    /// Whether it knows where it is.
-    fn is_homed(&self) -> Result<bool, ScopeError>;
-    /// Begins to find its reference, which may move anything anywhere.
-    fn start_homing(&self) -> Result<(), ScopeError>;
-}
-
-impl Homing for Driver {
-    fn is_homed(&self) -> Result<bool, ScopeError> {
-        Ok(self.hello().stage.as_ref().is_none_or(|s| s.homed))
-    }
-    fn start_homing(&self) -> Result<(), ScopeError> {
-        Driver::start_homing(self)
-    }
-}
-
-impl Found {
-    /// Homes a stage that needs it.
-    fn home(
-        &self,
-        stage: &dyn Stage,
-        clock: &dyn Clock,
-        consent: &Consent,
-        cancel: &CancelToken,
-    ) -> Result<(), ScopeError> {
-        let Some(homing) = &self.homing else {
-            return Ok(());
-        };
-        if homing.is_homed()? {
-            return Ok(());
-        }
-        if !consent.home {
-            return Err(ScopeError::NotHomed { device: "stage" });
-        }
-        homing.start_homing()?;
-        let start = clock.now();
-        loop {
-            if cancel.is_cancelled() {
-                stage.stop()?;
-                let (poll, position) = (|| stage.poll(), || stage.position());
-                let at = stand_still(stage.info(), clock, &poll, &position)?;
-                return Err(ScopeError::Interrupted { at: Some(at) });
-            }
-            match stage.poll()? {
-                Motion::Settled => return Ok(()),
-                Motion::Stopped => return Err(ScopeError::MoveAborted { at: None }),
-                Motion::Moving => clock.sleep(Duration::from_millis(20)),
-            }
-            if clock.now().since(start) > HOMING {
-                stage.stop()?;
-                return Err(ScopeError::Timeout {
-                    device: "stage",
-                    seconds: HOMING.as_secs_f64(),
-                });
-            }
-        }
-    }
 }
 
 fn find(
@@ -227,7 +166,6 @@ fn find(
     Ok(Found {
         name: driver.hello().name.clone(),
         devices: driver.devices(clock)?,
-        homing: Some(Box::new(driver)),
         twin: None,
     })
 }
@@ -271,7 +209,6 @@ fn simulated(
             nosepiece: Some(twin.nosepiece()),
             light: None,
         },
-        homing: None,
         twin: Some(twin),
     })
 }

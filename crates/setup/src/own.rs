@@ -2,7 +2,7 @@
 
 use crate::SetupError;
 use crate::config::{Config, DriverConfig, OwnConfig, WebConfig};
-use crate::open::{Found, Homing, read_secret};
+use crate::open::{Found, read_secret};
 use scopeservo_drivers::camera::http::Login;
 use scopeservo_drivers::camera::{FolderCamera, SnapshotCamera, V4lSettings, mjpeg_camera};
 use scopeservo_drivers::gcode::GcodeStage;
@@ -11,7 +11,7 @@ use scopeservo_drivers::link::{Tcp, Transport};
 use scopeservo_drivers::sangaboard::SangaStage;
 use scopeservo_drivers::turret::Turret;
 use scopeservo_protocol::Devices;
-use scopeservo_scope::{Camera, Clock, Nosepiece, ScopeError, Stage};
+use scopeservo_scope::{Camera, Clock, Nosepiece, Stage};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -27,17 +27,17 @@ pub(crate) fn find(
         let stage = Gcs2Stage::connect(transport(config, own)?, &own.settings)?;
         let stage = Arc::new(stage);
         let nosepiece = stage.nosepiece();
-        return Ok(Some(found(stage, nosepiece, true)));
+        return Ok(Some(found(stage, nosepiece)));
     }
     if let Some(own) = &driver.gcode {
         let stage = GcodeStage::connect(transport(config, own)?, &own.settings)?;
         let stage = Arc::new(stage);
         let nosepiece = stage.nosepiece();
-        return Ok(Some(found(stage, nosepiece, own.settings.needs_homing)));
+        return Ok(Some(found(stage, nosepiece)));
     }
     if let Some(own) = &driver.sangaboard {
         let stage = SangaStage::connect(transport(config, own)?, &own.settings)?;
-        return Ok(Some(found(Arc::new(stage), None, false)));
+        return Ok(Some(found(Arc::new(stage), None)));
     }
     let clock = clock.clone();
     let camera: Box<dyn Camera> = if let Some(web) = &driver.mjpeg {
@@ -61,7 +61,6 @@ pub(crate) fn find(
             nosepiece: None,
             light: None,
         },
-        homing: None,
         twin: None,
     }))
 }
@@ -131,11 +130,7 @@ fn serial(config: &Config, port: &str, _: u32) -> Result<Box<dyn Transport>, Set
     )))
 }
 
-fn found<T: Stage + Homing + 'static>(
-    stage: Arc<T>,
-    nosepiece: Option<Turret>,
-    homes: bool,
-) -> Found {
+fn found<T: Stage + 'static>(stage: Arc<T>, nosepiece: Option<Turret>) -> Found {
     // A board may drive a nosepiece and nothing else.
     let is_stage = !stage.info().axes.is_empty();
     Found {
@@ -146,47 +141,6 @@ fn found<T: Stage + Homing + 'static>(
             nosepiece: nosepiece.map(|n| Box::new(n) as Box<dyn Nosepiece>),
             light: None,
         },
-        homing: (is_stage && homes).then(|| Box::new(stage) as Box<dyn Homing>),
         twin: None,
-    }
-}
-
-impl<T: Homing> Homing for Arc<T> {
-    fn is_homed(&self) -> Result<bool, ScopeError> {
-        (**self).is_homed()
-    }
-    fn start_homing(&self) -> Result<(), ScopeError> {
-        (**self).start_homing()
-    }
-}
-
-impl Homing for Gcs2Stage {
-    fn is_homed(&self) -> Result<bool, ScopeError> {
-        Gcs2Stage::is_homed(self)
-    }
-    fn start_homing(&self) -> Result<(), ScopeError> {
-        self.home()
-    }
-}
-
-impl Homing for GcodeStage {
-    fn is_homed(&self) -> Result<bool, ScopeError> {
-        GcodeStage::is_homed(self)
-    }
-    fn start_homing(&self) -> Result<(), ScopeError> {
-        self.home()
-    }
-}
-
-/// A Sangaboard has no end switches: its zero is where it was switched on, and this is never asked.
-impl Homing for SangaStage {
-    fn is_homed(&self) -> Result<bool, ScopeError> {
-        Ok(true)
-    }
-    fn start_homing(&self) -> Result<(), ScopeError> {
-        Err(ScopeError::Refused {
-            device: "stage",
-            detail: "this board has no reference to find".into(),
-        })
     }
 }

@@ -314,15 +314,6 @@ impl GcodeStage {
         ))
     }
 
-    /// Starts homing of the stage's axes (G28) and returns. THE STAGE MOVES to its end switches: nothing may be in its way.
-    /// [`Stage::poll`] tells when it is over.
-    ///
-    /// # Errors
-    /// [`ScopeError::Busy`] while it moves, and as [`GcodeStage::connect`].
-    pub fn home(&self) -> Result<(), ScopeError> {
-        self.home_part(Part::Stage)
-    }
-
     fn home_part(&self, part: Part) -> Result<(), ScopeError> {
         let stops = self.session.stops();
         let mut ex = self.session.exchange()?;
@@ -362,14 +353,21 @@ impl GcodeStage {
         Ok(())
     }
 
-    /// Whether the stage was homed over this connection. A board does not say whether it was before.
+    /// Whether the stage was homed over this connection, whether or not it has to be.
     ///
     /// # Errors
     /// [`ScopeError::Timeout`] or [`ScopeError::Device`] when the board does not answer as it should.
-    pub fn is_homed(&self) -> Result<bool, ScopeError> {
+    pub fn was_homed(&self) -> Result<bool, ScopeError> {
         let mut ex = self.session.exchange()?;
         self.homing_ended(&mut ex, GLANCE)?;
         Ok(*lock(&self.homed).of(Part::Stage))
+    }
+
+    /// Whether a part knows where it is. A board does not say whether it was homed before this connection.
+    fn is_part_homed(&self, part: Part) -> Result<bool, ScopeError> {
+        let mut ex = self.session.exchange()?;
+        self.homing_ended(&mut ex, GLANCE)?;
+        Ok(self.knows_place(part))
     }
 
     /// Looks for the end of homing, if it homes. Returns whether it does not home any more.
@@ -528,10 +526,7 @@ impl GcodeStage {
 
     fn check_homed(&self) -> Result<(), ScopeError> {
         if !self.knows_place(Part::Stage) {
-            return Err(device(
-                "the stage was not homed over this connection and may not know where it is; \
-                 see that nothing is in its way, then home it",
-            ));
+            return Err(ScopeError::NotHomed { device: "stage" });
         }
         Ok(())
     }
@@ -659,6 +654,14 @@ impl Stage for GcodeStage {
         }
         Ok(())
     }
+
+    fn is_homed(&self) -> Result<bool, ScopeError> {
+        self.is_part_homed(Part::Stage)
+    }
+
+    fn start_homing(&self) -> Result<(), ScopeError> {
+        self.home_part(Part::Stage)
+    }
 }
 
 impl Motor {
@@ -671,13 +674,11 @@ impl Motor {
 }
 
 impl Turns for GcodeStage {
-    fn knows_place(&self) -> Result<bool, ScopeError> {
-        let mut ex = self.session.exchange()?;
-        self.homing_ended(&mut ex, GLANCE)?;
-        Ok(GcodeStage::knows_place(self, Part::Nosepiece))
+    fn is_homed(&self) -> Result<bool, ScopeError> {
+        self.is_part_homed(Part::Nosepiece)
     }
 
-    fn start_finding(&self) -> Result<(), ScopeError> {
+    fn start_homing(&self) -> Result<(), ScopeError> {
         self.home_part(Part::Nosepiece)
     }
 
@@ -705,7 +706,7 @@ impl Turns for GcodeStage {
         self.stop()
     }
 
-    fn doubt_place(&self) {
+    fn invalidate_position(&self) {
         lock(&self.homed).nosepiece = false;
     }
 }
@@ -781,7 +782,7 @@ mod tests {
         let stage = GcodeStage::connect(Box::new(tcp), &settings).unwrap();
         // A stop whose caller has not come to read the answer yet.
         stage.session.send_stop().unwrap();
-        stage.home().unwrap();
+        Stage::start_homing(&stage).unwrap();
         let start = Instant::now();
         while start.elapsed() < Duration::from_millis(100) {
             assert_eq!(stage.poll().unwrap(), Motion::Moving);
@@ -789,6 +790,6 @@ mod tests {
         while stage.poll().unwrap() == Motion::Moving {
             assert!(start.elapsed() < Duration::from_secs(3));
         }
-        assert!(stage.is_homed().unwrap());
+        assert!(stage.was_homed().unwrap());
     }
 }

@@ -146,16 +146,6 @@ impl Gcs2Stage {
         })
     }
 
-    /// Starts the reference move and returns. THE STAGE MOVES, over its whole travel perhaps: nothing may be in its way.
-    /// [`Stage::poll`] tells when it is over.
-    ///
-    /// # Errors
-    /// [`ScopeError::Busy`] while it moves, [`ScopeError::Interrupted`] when it was stopped at once, and as
-    /// [`Gcs2Stage::connect`].
-    pub fn home(&self) -> Result<(), ScopeError> {
-        self.home_part(Part::Stage)
-    }
-
     /// The nosepiece that the settings describe, if they do.
     pub fn nosepiece(self: &Arc<Self>) -> Option<Turret> {
         let Gcs2Nosepiece {
@@ -198,22 +188,20 @@ impl Gcs2Stage {
         Ok(())
     }
 
-    /// Whether every axis knows where it is. `false` while a reference move runs.
-    ///
-    /// # Errors
-    /// [`ScopeError::Timeout`] or [`ScopeError::Device`] when the controller does not answer as it should.
-    pub fn is_homed(&self) -> Result<bool, ScopeError> {
+    /// Whether every axis of a part knows where it is. `false` while a reference move runs.
+    fn is_part_homed(&self, part: Part) -> Result<bool, ScopeError> {
         let mut ex = self.session.exchange()?;
         if self.is_homing() && self.poll_in(&mut ex)? == Motion::Moving {
             return Ok(false);
         }
-        self.referenced(&mut ex, Part::Stage)
+        self.referenced(&mut ex, part)
     }
 
     /// The point that the platform turns about.
     ///
     /// # Errors
-    /// As [`Gcs2Stage::is_homed`], and while a reference move runs [`ScopeError::Busy`].
+    /// [`ScopeError::Timeout`] or [`ScopeError::Device`] when the controller does not answer as it should, and while a reference move
+    /// runs [`ScopeError::Busy`].
     pub fn pivot(&self) -> Result<[Length; 3], ScopeError> {
         let mut ex = self.exchange_unless_homing()?;
         let names = ["X", "Y", "Z"].map(AxisName::new);
@@ -534,18 +522,22 @@ impl Stage for Gcs2Stage {
             other => Err(refusal(other)),
         }
     }
+
+    fn is_homed(&self) -> Result<bool, ScopeError> {
+        self.is_part_homed(Part::Stage)
+    }
+
+    fn start_homing(&self) -> Result<(), ScopeError> {
+        self.home_part(Part::Stage)
+    }
 }
 
 impl Turns for Gcs2Stage {
-    fn knows_place(&self) -> Result<bool, ScopeError> {
-        let mut ex = self.session.exchange()?;
-        if self.is_homing() && self.poll_in(&mut ex)? == Motion::Moving {
-            return Ok(false);
-        }
-        self.referenced(&mut ex, Part::Nosepiece)
+    fn is_homed(&self) -> Result<bool, ScopeError> {
+        self.is_part_homed(Part::Nosepiece)
     }
 
-    fn start_finding(&self) -> Result<(), ScopeError> {
+    fn start_homing(&self) -> Result<(), ScopeError> {
         self.home_part(Part::Nosepiece)
     }
 
@@ -574,7 +566,7 @@ impl Turns for Gcs2Stage {
         self.stop()
     }
 
-    fn doubt_place(&self) {
+    fn invalidate_position(&self) {
         // It measures where its axes are.
     }
 }
@@ -618,9 +610,7 @@ impl Drop for Gcs2Stage {
 }
 
 fn not_homed() -> ScopeError {
-    device(
-        "the stage is not homed and does not know where it is; see that nothing is in its way, then home it",
-    )
+    ScopeError::NotHomed { device: "stage" }
 }
 
 fn positive(velocity: f64) -> Result<(), ScopeError> {
