@@ -4,16 +4,13 @@
 
 use libfuzzer_sys::fuzz_target;
 use scopeservo_protocol::{Hello, Offer, serve};
-use scopeservo_scope::VirtualClock;
+use scopeservo_scope::{Devices, VirtualClock};
 use std::sync::Arc;
 
 fuzz_target!(|data: &[u8]| {
     let offer = Offer {
         name: "nothing".into(),
-        stage: None,
-        camera: None,
-        nosepiece: None,
-        clock: Arc::new(VirtualClock::new()),
+        devices: Devices::none(Arc::new(VirtualClock::new())),
     };
     let mut said = Vec::new();
     let _ = serve(&offer, None, &mut &data[..], &mut said);

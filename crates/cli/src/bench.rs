@@ -6,7 +6,7 @@ use crate::desk::rein_in;
 use crate::error::CliError;
 use crate::progress::Watcher;
 use crate::scene::{self, Scene};
-use scopeservo_scope::{CancelToken, Clock, Frame, Instrument, MotionGate, VirtualClock};
+use scopeservo_scope::{CancelToken, Clock, Frame, Instrument, VirtualClock};
 use scopeservo_servo::{
     Event, Focus, FocusOptions, FrameRole, NoSink, Reason, SaveOptions, SaveTarget, ServoError,
     Sink, Stamped, Target, VisionOptions,
@@ -36,15 +36,10 @@ impl Bench {
             Noise::None => Config::noiseless(),
         };
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-        let twin = Twin::new(config, specimen.clone(), args.seed, clock.clone())?;
+        let twin = Twin::new(config, specimen.clone(), args.seed, clock)?;
         let cancel = CancelToken::new();
         let reins = rein_in(&cancel, answer);
-        let scope = Instrument::new(
-            MotionGate::new(twin.stage(), twin.nosepiece(), twin.rules())?,
-            twin.camera(),
-            clock,
-            cancel,
-        );
+        let scope = Instrument::new(twin.devices(), twin.rules(), cancel)?;
         let scope = Arc::new(scope);
         reins.hold(&scope);
         Ok(Bench {

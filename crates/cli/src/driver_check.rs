@@ -6,9 +6,9 @@ use crate::desk::rein_in;
 use crate::doctor::{Finding, Findings};
 use crate::error::CliError;
 use crate::trial;
-use scopeservo_protocol::{Devices, Driver, Light, Secret};
+use scopeservo_protocol::{Driver, Secret};
 use scopeservo_scope::{
-    Absent, CancelToken, ChangeRule, Clock, Instrument, MotionGate, Rules, ScopeError, SystemClock,
+    CancelToken, ChangeRule, Clock, Devices, Instrument, Light, Rules, ScopeError, SystemClock,
     conformance,
 };
 use scopeservo_setup::{Held, SetupError};
@@ -36,7 +36,7 @@ pub(crate) fn run(args: &DriverCheckArgs, answer: &Answer) -> Result<bool, CliEr
     let stage = devices.stage.is_some();
     let camera = devices.camera.is_some();
     let nosepiece = devices.nosepiece.is_some();
-    let (scope, light) = instrument(devices, args.retract_z_um, &clock, &cancel)?;
+    let scope = instrument(devices, args.retract_z_um, &cancel)?;
     reins.hold(&scope);
 
     if stage && camera {
@@ -67,7 +67,7 @@ pub(crate) fn run(args: &DriverCheckArgs, answer: &Answer) -> Result<bool, CliEr
     if stage || nosepiece {
         findings.add(stop_is_quick(&scope, camera));
     }
-    if let Some(light) = &light {
+    if let Some(light) = scope.light() {
         findings.add(light_is_set(light));
     }
     if nosepiece && stage && args.retract_z_um.is_none() {
@@ -86,12 +86,10 @@ pub(crate) fn run(args: &DriverCheckArgs, answer: &Answer) -> Result<bool, CliEr
         let put_back = || -> Result<Arc<Instrument>, CliError> {
             let driver = open(args, secret.as_ref())?;
             let devices = driver.devices(&clock).map_err(SetupError::from)?;
-            let (scope, _) = instrument(devices, args.retract_z_um, &clock, &cancel)?;
+            let scope = instrument(devices, args.retract_z_um, &cancel)?;
             reins.hold(&scope);
             Ok(scope)
         };
-        // The light would keep the old connection.
-        drop(light);
         let (checks, opened) =
             conformance::check_replug(scope, pull, || put_back().map_err(|e| e.to_string()));
         for check in checks {
@@ -117,13 +115,12 @@ fn open(args: &DriverCheckArgs, secret: Option<&Secret>) -> Result<Driver, CliEr
     Ok(driver.map_err(SetupError::from)?)
 }
 
-/// The devices of a driver behind a gate, and its light.
+/// The devices of a driver behind a gate.
 fn instrument(
     devices: Devices,
     retract_z_um: Option<f64>,
-    clock: &Arc<dyn Clock>,
     cancel: &CancelToken,
-) -> Result<(Arc<Instrument>, Option<Light>), CliError> {
+) -> Result<Arc<Instrument>, CliError> {
     let rules = Rules::travel_only(match retract_z_um {
         Some(um) => ChangeRule::Retracted {
             z: um * 1e-6,
@@ -131,14 +128,7 @@ fn instrument(
         },
         None => ChangeRule::Anywhere,
     });
-    let gate = MotionGate::new(
-        devices.stage.unwrap_or_else(|| Box::new(Absent::new())),
-        devices.nosepiece.unwrap_or_else(|| Box::new(Absent::new())),
-        rules,
-    )?;
-    let camera = devices.camera.unwrap_or_else(|| Box::new(Absent::new()));
-    let scope = Instrument::new(gate, camera, clock.clone(), cancel.clone());
-    Ok((Arc::new(scope), devices.light))
+    Ok(Arc::new(Instrument::new(devices, rules, cancel.clone())?))
 }
 
 pub(crate) fn read_secret(path: &Path) -> Result<Secret, CliError> {
@@ -220,7 +210,7 @@ fn stop_is_quick(scope: &Instrument, camera: bool) -> Finding {
     }
 }
 
-fn light_is_set(light: &scopeservo_protocol::Light) -> Finding {
+fn light_is_set(light: &dyn Light) -> Finding {
     let outcome = (|| {
         let before = light.level()?;
         let set = light.set_level(if before > 0.5 { 0.25 } else { 0.75 })?;

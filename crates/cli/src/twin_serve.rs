@@ -22,7 +22,7 @@ pub(crate) fn run(args: &TwinServeArgs) -> Result<bool, CliError> {
                     path.display()
                 ))
             })?;
-            described.build(|path| config.resolve(path), clock.clone())?
+            described.build(|path| config.resolve(path), clock)?
         }
         None => {
             let told = TwinConfig {
@@ -33,15 +33,12 @@ pub(crate) fn run(args: &TwinServeArgs) -> Result<bool, CliError> {
                 turned_deg: args.turned_deg,
                 ..TwinConfig::default()
             };
-            told.build(Path::to_path_buf, clock.clone())?
+            told.build(Path::to_path_buf, clock)?
         }
     };
     let offer = Offer {
         name: "simulated microscope".into(),
-        stage: Some(twin.stage()),
-        camera: Some(twin.camera()),
-        nosepiece: Some(twin.nosepiece()),
-        clock,
+        devices: twin.devices(),
     };
     let Some(address) = &args.listen else {
         return serve(

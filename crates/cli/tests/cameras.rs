@@ -10,7 +10,7 @@ use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
 use scopeservo_drivers::emulator::camera::{CameraEmulator, EmulatedCamera, Sending, View};
 use scopeservo_protocol::{Offer, listen};
-use scopeservo_scope::{Clock, SystemClock};
+use scopeservo_scope::{Clock, Devices, SystemClock};
 use scopeservo_twin::specimen::Tissue;
 use scopeservo_twin::{Config, Twin};
 use std::fs;
@@ -50,10 +50,10 @@ fn bench() -> (Twin, String, View) {
     let address = listener.local_addr().unwrap().to_string();
     let offer = Offer {
         name: "stage of the simulated microscope".into(),
-        stage: Some(twin.stage()),
-        camera: None,
-        nosepiece: Some(twin.nosepiece()),
-        clock,
+        devices: Devices {
+            camera: None,
+            ..twin.devices()
+        },
     };
     std::thread::spawn(move || listen(&listener, &offer, None, &|_| {}));
     (twin, address, view)

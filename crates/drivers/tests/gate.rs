@@ -12,7 +12,7 @@ use scopeservo_drivers::gcode::{GcodeAxis, GcodeSettings, GcodeStage};
 use scopeservo_drivers::gcs2::{Gcs2Settings, Gcs2Stage};
 use scopeservo_drivers::sangaboard::{SangaAxis, SangaSettings, SangaStage};
 use scopeservo_scope::{
-    Absent, Axis, AxisRange, CancelToken, ChangeRule, ErrorKind, Instrument, Kinematics, Limits,
+    Axis, AxisRange, CancelToken, ChangeRule, Devices, ErrorKind, Instrument, Kinematics, Limits,
     Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError, Stage,
     StagePose, SystemClock, conformance,
 };
@@ -84,15 +84,18 @@ impl Nosepiece for Turret {
 
 /// The suite for a stage, and its plug pulled and put back.
 fn conforms<D: Send>(emulator: &Server<D>, connect: impl Fn() -> Box<dyn Stage>) {
-    let open = |nosepiece: Box<dyn Nosepiece>| {
+    let open = |nosepiece: Option<Box<dyn Nosepiece>>| {
         let rules = Rules::travel_only(ChangeRule::Anywhere);
-        let gate = MotionGate::new(connect(), nosepiece, rules).unwrap();
-        let (camera, clock) = (Box::new(Absent::new()), Arc::new(SystemClock::new()));
-        Arc::new(Instrument::new(gate, camera, clock, CancelToken::new()))
+        let devices = Devices {
+            stage: Some(connect()),
+            nosepiece,
+            ..Devices::none(Arc::new(SystemClock::new()))
+        };
+        Arc::new(Instrument::new(devices, rules, CancelToken::new()).unwrap())
     };
     // The emulated turret hangs on no plug.
-    let alone = || open(Box::new(Absent::new()));
-    let mut checks = conformance::check_stage(&open(Box::new(Turret::new())));
+    let alone = || open(None);
+    let mut checks = conformance::check_stage(&open(Some(Box::new(Turret::new()))));
     let (replug, _) = conformance::check_replug(
         alone(),
         || emulator.set_fault(Fault::Disconnect),

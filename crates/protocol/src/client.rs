@@ -3,9 +3,9 @@
 use crate::hello::Hello;
 use crate::link::{CallError, Link};
 use crate::message::{Call, Code, PROTOCOL};
-use crate::remote::{HELLO, Remote, RemoteCamera, RemoteNosepiece, RemoteStage, light_level};
+use crate::remote::{HELLO, Remote, RemoteCamera, RemoteLight, RemoteNosepiece, RemoteStage};
 use crate::secret::Secret;
-use scopeservo_scope::{Camera, Clock, Nosepiece, ScopeError, Stage};
+use scopeservo_scope::{Camera, Clock, Devices, Light, Nosepiece, Stage};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
@@ -78,44 +78,6 @@ pub struct Driver {
     link: Link,
     hello: Hello,
     shown: String,
-}
-
-/// The devices that a driver speaks for. Each keeps the connection; the last one that is dropped ends it.
-pub struct Devices {
-    /// The stage, if there is one.
-    pub stage: Option<Box<dyn Stage>>,
-    /// The camera, if there is one.
-    pub camera: Option<Box<dyn Camera>>,
-    /// The nosepiece, if there is one.
-    pub nosepiece: Option<Box<dyn Nosepiece>>,
-    /// The light, if there is one.
-    pub light: Option<Light>,
-}
-
-/// A light whose level can be set.
-pub struct Light(Remote);
-
-impl Light {
-    /// The level in force, 0 to 1.
-    ///
-    /// # Errors
-    /// What the driver reports.
-    pub fn level(&self) -> Result<f64, ScopeError> {
-        light_level(&self.0, None)
-    }
-
-    /// Sets the level and returns the one in force.
-    ///
-    /// # Errors
-    /// [`ScopeError::BadSetting`] outside 0 to 1, and what the driver reports.
-    pub fn set_level(&self, level: f64) -> Result<f64, ScopeError> {
-        if !(0.0..=1.0).contains(&level) {
-            return Err(ScopeError::BadSetting {
-                what: format!("a light level is 0 to 1; {level} was asked for"),
-            });
-        }
-        light_level(&self.0, Some(level))
-    }
 }
 
 impl Driver {
@@ -237,7 +199,7 @@ impl Driver {
         self.link.cut();
     }
 
-    /// Its devices. Time stamps of frames are on `clock`.
+    /// The devices that it speaks for. Each keeps the connection; the last one that is dropped ends it. Time stamps of frames are on `clock`.
     ///
     /// # Errors
     /// [`DriverError::Nonsense`].
@@ -280,7 +242,11 @@ impl Driver {
             stage,
             camera,
             nosepiece,
-            light: hello.light.as_ref().map(|_| Light(remote("light"))),
+            light: hello
+                .light
+                .as_ref()
+                .map(|_| Box::new(RemoteLight(remote("light"))) as Box<dyn Light>),
+            clock: clock.clone(),
         })
     }
 }

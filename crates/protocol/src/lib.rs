@@ -15,7 +15,7 @@ mod secret;
 mod server;
 pub mod wire;
 
-pub use client::{Devices, Driver, DriverError, Light};
+pub use client::{Driver, DriverError};
 pub use hello::{
     AxisHello, CameraHello, Hello, LightHello, Moves, NosepieceHello, ObjectiveHello, StageHello,
 };

@@ -4,8 +4,8 @@ use crate::hello::frame_bytes;
 use crate::link::{CallError, Link, Reply};
 use crate::message::{Call, Code, MotionReply, Place};
 use scopeservo_scope::{
-    Camera, CameraInfo, Clock, Frame, Motion, Nosepiece, Objective, ObjectiveId, Samples,
-    ScopeError, Stage, StageInfo, StagePose,
+    Camera, CameraInfo, Clock, Frame, Light, Motion, Nosepiece, Objective, ObjectiveId, Samples,
+    ScopeError, Stage, StageInfo, StagePose, check_level,
 };
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -347,10 +347,28 @@ struct LightReply {
     level: f64,
 }
 
-pub(crate) fn light_level(remote: &Remote, level: Option<f64>) -> Result<f64, ScopeError> {
-    let reply: LightReply = remote.ask_for(Call::Light { level })?;
-    match (0.0..=1.0).contains(&reply.level) {
-        true => Ok(reply.level),
-        false => Err(remote.nonsense(&format!("a light level of {}", reply.level))),
+/// A light of a driver.
+pub(crate) struct RemoteLight(pub(crate) Remote);
+
+impl RemoteLight {
+    fn ask(&self, level: Option<f64>) -> Result<f64, ScopeError> {
+        let reply: LightReply = self.0.ask_for(Call::Light { level })?;
+        match check_level(reply.level) {
+            Ok(()) => Ok(reply.level),
+            Err(_) => Err(self
+                .0
+                .nonsense(&format!("a light level of {}", reply.level))),
+        }
+    }
+}
+
+impl Light for RemoteLight {
+    fn level(&self) -> Result<f64, ScopeError> {
+        self.ask(None)
+    }
+
+    fn set_level(&self, level: f64) -> Result<f64, ScopeError> {
+        check_level(level)?;
+        self.ask(Some(level))
     }
 }

@@ -1,11 +1,11 @@
 //! Speaking for devices of ours.
 
-use crate::hello::{CameraHello, Hello, NosepieceHello, StageHello};
+use crate::hello::{CameraHello, Hello, LightHello, NosepieceHello, StageHello};
 use crate::message::{Call, Code, PROTOCOL, Place, Request};
 use crate::secret::{Secret, nonce};
 use crate::wire::{self, Object, WireError};
 use scopeservo_scope::{
-    Camera, Clock, ErrorKind, Nosepiece, ObjectiveId, Samples, ScopeError, Stage, StagePose,
+    Camera, Devices, ErrorKind, ObjectiveId, Samples, ScopeError, Stage, StagePose,
 };
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
@@ -21,14 +21,8 @@ const PATIENCE: Duration = Duration::from_secs(15);
 pub struct Offer {
     /// For people.
     pub name: String,
-    /// The stage, if any.
-    pub stage: Option<Box<dyn Stage>>,
-    /// The camera, if any.
-    pub camera: Option<Box<dyn Camera>>,
-    /// The nosepiece, if any.
-    pub nosepiece: Option<Box<dyn Nosepiece>>,
-    /// The devices' clock.
-    pub clock: Arc<dyn Clock>,
+    /// Those there are.
+    pub devices: Devices,
 }
 
 /// A refusal on its way.
@@ -87,34 +81,37 @@ fn object(value: Value) -> Object {
 impl Offer {
     fn hello(&self) -> Result<Hello, ScopeError> {
         let stage = |s: &dyn Stage| Ok::<_, ScopeError>(StageHello::of(s.info(), s.is_homed()?));
+        let devices = &self.devices;
         Ok(Hello {
             protocol: PROTOCOL,
             name: self.name.clone(),
-            stage: self.stage.as_deref().map(stage).transpose()?,
-            camera: self.camera.as_ref().map(|c| CameraHello::of(c.info())),
-            nosepiece: self
+            stage: devices.stage.as_deref().map(stage).transpose()?,
+            camera: devices.camera.as_ref().map(|c| CameraHello::of(c.info())),
+            nosepiece: devices
                 .nosepiece
                 .as_ref()
                 .map(|n| NosepieceHello::of(&self.name, n.objectives())),
-            light: None,
+            light: devices.light.as_ref().map(|_| LightHello {
+                name: self.name.clone(),
+            }),
         })
     }
 
     fn stop(&self) -> Result<(), ScopeError> {
         // Both are told, whatever the one says.
-        let stage = self.stage.as_ref().map_or(Ok(()), |s| s.stop());
-        let nosepiece = self.nosepiece.as_ref().map_or(Ok(()), |n| n.stop());
+        let stage = self.devices.stage.as_ref();
+        let stage = stage.map_or(Ok(()), |s| s.stop());
+        let nosepiece = self.devices.nosepiece.as_ref();
+        let nosepiece = nosepiece.map_or(Ok(()), |n| n.stop());
         stage.and(nosepiece)
     }
 
     fn answer(&self, call: &Call) -> Result<(Object, Vec<u8>), No> {
-        let stage = || self.stage.as_deref().ok_or_else(|| no_such("stage"));
-        let camera = || self.camera.as_deref().ok_or_else(|| no_such("camera"));
-        let nosepiece = || {
-            self.nosepiece
-                .as_deref()
-                .ok_or_else(|| no_such("nosepiece"))
-        };
+        let devices = &self.devices;
+        let stage = || devices.stage.as_deref().ok_or_else(|| no_such("stage"));
+        let camera = || devices.camera.as_deref().ok_or_else(|| no_such("camera"));
+        let nosepiece = devices.nosepiece.as_deref();
+        let nosepiece = || nosepiece.ok_or_else(|| no_such("nosepiece"));
         let reply = match call {
             Call::Hello { protocol, .. } if *protocol != PROTOCOL => {
                 let message = format!("this driver speaks version {PROTOCOL} of the protocol");
@@ -157,7 +154,13 @@ impl Offer {
                 json!({"exposure_ms": set.as_secs_f64() * 1e3})
             }
             Call::Grab => return self.frame(camera()?),
-            Call::Light { .. } => return Err(no_such("light")),
+            Call::Light { level } => {
+                let light = devices.light.as_deref().ok_or_else(|| no_such("light"))?;
+                json!({"level": match level {
+                    None => light.level()?,
+                    Some(level) => light.set_level(*level)?,
+                }})
+            }
             Call::Bye => {
                 self.stop()?;
                 json!({})
@@ -172,7 +175,7 @@ impl Offer {
             Samples::U8(samples) => samples,
             Samples::U16(samples) => samples.iter().flat_map(|s| s.to_le_bytes()).collect(),
         };
-        let age = self.clock.now().since(frame.exposure_start);
+        let age = self.devices.clock.now().since(frame.exposure_start);
         let head = json!({
             "width_px": frame.width,
             "height_px": frame.height,

@@ -1,7 +1,7 @@
 //! Drivers that are silent, die, or talk nonsense: a typed error within the time of the page, and a stop on the way out.
 
-use scopeservo_protocol::{Devices, Driver, DriverError};
-use scopeservo_scope::{Axis, Clock, ScopeError, StagePose, SystemClock};
+use scopeservo_protocol::{Driver, DriverError};
+use scopeservo_scope::{Axis, Clock, Devices, ScopeError, StagePose, SystemClock};
 #[cfg(unix)]
 use std::io::Read;
 use std::io::{BufRead, BufReader, Write};

@@ -70,10 +70,7 @@ fn twin(clock: Arc<dyn Clock>) -> Offer {
     .unwrap();
     Offer {
         name: "twin".into(),
-        stage: Some(twin.stage()),
-        camera: Some(twin.camera()),
-        nosepiece: Some(twin.nosepiece()),
-        clock,
+        devices: twin.devices(),
     }
 }
 

@@ -4,7 +4,7 @@
 
 use scopeservo_protocol::{Driver, DriverError, Offer, Secret, listen};
 use scopeservo_scope::{
-    Axis, CancelToken, ChangeRule, Clock, Instrument, Motion, MotionGate, Rules, StagePose,
+    Axis, CancelToken, ChangeRule, Clock, Devices, Instrument, Motion, Rules, StagePose,
     SystemClock, conformance,
 };
 use scopeservo_twin::specimen::Tissue;
@@ -25,10 +25,7 @@ fn served(secret: Option<Secret>) -> String {
     std::thread::spawn(move || {
         let offer = Offer {
             name: "simulated microscope".into(),
-            stage: Some(twin.stage()),
-            camera: Some(twin.camera()),
-            nosepiece: Some(twin.nosepiece()),
-            clock,
+            devices: twin.devices(),
         };
         listen(&listener, &offer, secret.as_ref(), &|_| {})
     });
@@ -41,17 +38,11 @@ fn instrument(address: &str) -> Instrument {
 
 fn of(driver: &Driver) -> Instrument {
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-    let devices = driver.devices(&clock).unwrap();
-    let gate = MotionGate::new(
-        devices.stage.unwrap(),
-        devices.nosepiece.unwrap(),
-        Rules::travel_only(ChangeRule::Retracted {
-            z: -2e-3,
-            margin: 0.0,
-        }),
-    )
-    .unwrap();
-    Instrument::new(gate, devices.camera.unwrap(), clock, CancelToken::new())
+    let rules = Rules::travel_only(ChangeRule::Retracted {
+        z: -2e-3,
+        margin: 0.0,
+    });
+    Instrument::new(driver.devices(&clock).unwrap(), rules, CancelToken::new()).unwrap()
 }
 
 #[test]
@@ -135,10 +126,7 @@ fn a_port_for_everybody_needs_a_secret() {
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let offer = Offer {
         name: "nothing".into(),
-        stage: None,
-        camera: None,
-        nosepiece: None,
-        clock,
+        devices: Devices::none(clock),
     };
     let refused = listen(&listener, &offer, None, &|_| {}).unwrap_err();
     assert_eq!(refused.kind(), std::io::ErrorKind::PermissionDenied);

@@ -1,8 +1,8 @@
 //! A whole microscope: what moves, behind its gate, camera and clock, with the waiting that every procedure needs.
 
 use crate::{
-    Axis, AxisInfo, Camera, ChangeRule, Clock, ErrorKind, FlatField, Frame, Length, Motion,
-    MotionGate, Objective, ObjectiveId, ScopeError, StagePose, stand_still,
+    Absent, Axis, AxisInfo, Camera, ChangeRule, Clock, Devices, ErrorKind, FlatField, Frame, Length, Light,
+    Motion, MotionGate, Objective, ObjectiveId, Rules, ScopeError, StagePose, stand_still,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -56,6 +56,7 @@ pub struct Counters {
 pub struct Instrument {
     gate: MotionGate,
     camera: Arc<dyn Camera>,
+    light: Option<Box<dyn Light>>,
     clock: Arc<dyn Clock>,
     cancel: CancelToken,
     /// Where each objective was last in focus.
@@ -92,18 +93,24 @@ impl Drop for Instrument {
 }
 
 impl Instrument {
-    /// Puts the devices together.
-    pub fn new(
-        mut gate: MotionGate,
-        camera: Box<dyn Camera>,
-        clock: Arc<dyn Clock>,
-        cancel: CancelToken,
-    ) -> Self {
+    /// Puts the devices together, what moves behind a gate that keeps the rules. Of one that is missing, nothing is had. After `cancel`
+    /// was cancelled nothing begins any more.
+    ///
+    /// # Errors
+    /// Those of [`MotionGate::new`].
+    pub fn new(devices: Devices, rules: Rules, cancel: CancelToken) -> Result<Self, ScopeError> {
+        let none = Absent::new;
+        let mut gate = MotionGate::new(
+            devices.stage.unwrap_or_else(|| Box::new(none())),
+            devices.nosepiece.unwrap_or_else(|| Box::new(none())),
+            rules,
+        )?;
         gate.obey(cancel.clone());
-        Self {
+        Ok(Self {
             gate,
-            camera: camera.into(),
-            clock,
+            camera: devices.camera.unwrap_or_else(|| Box::new(none())).into(),
+            light: devices.light,
+            clock: devices.clock,
             cancel,
             focus: Mutex::new(BTreeMap::new()),
             flat_field: Mutex::new(None),
@@ -113,7 +120,7 @@ impl Instrument {
             objective_changes: AtomicU64::new(0),
             given_up: Mutex::new(None),
             kept: Vec::new(),
-        }
+        })
     }
 
     /// Keeps something for as long as the instrument is there, and lets it go after the devices: that nobody else may drive them.
@@ -131,6 +138,11 @@ impl Instrument {
     /// The camera.
     pub fn camera(&self) -> &dyn Camera {
         &*self.camera
+    }
+
+    /// The light, where it can be set.
+    pub fn light(&self) -> Option<&dyn Light> {
+        self.light.as_deref()
     }
 
     /// The clock that all devices share.
@@ -468,7 +480,7 @@ impl Instrument {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Absent, AxisInfo, Kinematics, PositiveZ, Rules, Stage, StageInfo, Timestamp};
+    use crate::{AxisInfo, Kinematics, PositiveZ, Stage, StageInfo, Timestamp};
     use std::sync::Mutex;
 
     /// A stage of one axis that goes 1 mm/s, or never arrives, or cannot say what it does.
@@ -583,17 +595,12 @@ mod tests {
             fault,
             state: state.clone(),
         };
-        let scope = Instrument::new(
-            MotionGate::new(
-                Box::new(stage),
-                Box::new(Absent::new()),
-                Rules::travel_only(ChangeRule::Anywhere),
-            )
-            .unwrap(),
-            Box::new(Absent::new()),
-            clock.clone(),
-            cancel,
-        );
+        let devices = Devices {
+            stage: Some(Box::new(stage)),
+            ..Devices::none(clock.clone())
+        };
+        let rules = Rules::travel_only(ChangeRule::Anywhere);
+        let scope = Instrument::new(devices, rules, cancel).unwrap();
         let answer = scope.move_to(&StagePose::default().with_si(Axis::X, 1e-2));
         let place = *state.lock().unwrap();
         (answer, place, clock.now().seconds())
@@ -663,11 +670,12 @@ mod tests {
     fn a_stop_does_not_wait_for_a_long_exposure() {
         let cancel = CancelToken::new();
         let rules = Rules::travel_only(ChangeRule::Anywhere);
-        let gate =
-            MotionGate::new(Box::new(Absent::new()), Box::new(Absent::new()), rules).unwrap();
         let clock = Arc::new(crate::SystemClock::new());
-        let camera = Box::new(Night(Absent::new()));
-        let scope = Instrument::new(gate, camera, clock.clone(), cancel.clone());
+        let devices = Devices {
+            camera: Some(Box::new(Night(Absent::new()))),
+            ..Devices::none(clock.clone())
+        };
+        let scope = Instrument::new(devices, rules, cancel.clone()).unwrap();
         std::thread::scope(|s| {
             let grab = s.spawn(|| scope.grab());
             std::thread::sleep(Duration::from_millis(50));

@@ -5,7 +5,7 @@
 //! that they cannot share a sign error.
 //!
 //! - [`Length`], [`Angle`], [`Timestamp`]: SI inside, micrometres and degrees at the edges.
-//! - [`Stage`], [`Camera`], [`Nosepiece`], [`Clock`]: the device contracts. All methods take `&self`, so that
+//! - [`Stage`], [`Camera`], [`Nosepiece`], [`Light`], [`Clock`]: the device contracts, and [`Devices`], all of them. All methods take `&self`, so that
 //!   [`Stage::stop`] works from another thread while a move runs.
 //! - [`MotionGate`]: the only way to move an [`Instrument`]. It refuses what its [`Rules`] do not allow, and never clips.
 //! - [`conformance`]: one suite that every implementation must pass.
@@ -14,11 +14,13 @@ mod absent;
 mod camera;
 mod clock;
 pub mod conformance;
+mod devices;
 mod error;
 mod flat_field;
 mod gate;
 mod instrument;
 mod judge;
+mod light;
 mod nosepiece;
 mod rules;
 mod stage;
@@ -28,11 +30,13 @@ mod units;
 pub use absent::Absent;
 pub use camera::{Camera, CameraInfo, Channels, Frame, Samples};
 pub use clock::{Clock, SystemClock, Timestamp, VirtualClock};
+pub use devices::Devices;
 pub use error::{ErrorKind, ScopeError};
 pub use flat_field::FlatField;
 pub use gate::{AtWork, MotionGate};
 pub use instrument::{CancelToken, Counters, Instrument};
 pub use judge::Breach;
+pub use light::{Light, check_level};
 pub use nosepiece::{Nosepiece, Objective, ObjectiveId};
 pub use rules::{AxisRange, ChangeRule, LargestStep, Limits, Rules, Workspace, Zone};
 pub use stage::{Axis, AxisInfo, Kinematics, Motion, PositiveZ, Stage, StageInfo, StagePose};

@@ -3,10 +3,9 @@
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 use scopeservo_scope::{
-    Absent, Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, ErrorKind, Instrument,
-    Kinematics, LargestStep, Length, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId,
-    PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose, Timestamp, VirtualClock, Workspace,
-    Zone,
+    Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, ErrorKind, Instrument, Kinematics,
+    LargestStep, Length, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ,
+    Rules, ScopeError, Stage, StageInfo, StagePose, Timestamp, VirtualClock, Workspace, Zone,
 };
 use std::collections::BTreeMap;
 use std::sync::mpsc;
@@ -266,6 +265,15 @@ impl Devices {
 
     fn gate(&self, rules: Rules) -> MotionGate {
         MotionGate::new(Box::new(self.clone()), Box::new(self.clone()), rules).unwrap()
+    }
+
+    fn instrument(&self, rules: Rules, clock: Arc<dyn Clock>, cancel: CancelToken) -> Instrument {
+        let devices = scopeservo_scope::Devices {
+            stage: Some(Box::new(self.clone())),
+            nosepiece: Some(Box::new(self.clone())),
+            ..scopeservo_scope::Devices::none(clock)
+        };
+        Instrument::new(devices, rules, cancel).unwrap()
     }
 
     fn world(&self) -> std::sync::MutexGuard<'_, World> {
@@ -738,12 +746,7 @@ fn nothing_begins_after_a_cancel() {
     let devices = Devices::new();
     let cancel = CancelToken::new();
     let clock = Arc::new(VirtualClock::new());
-    let scope = Instrument::new(
-        devices.gate(rules()),
-        Box::new(Absent::new()),
-        clock,
-        cancel.clone(),
-    );
+    let scope = devices.instrument(rules(), clock, cancel.clone());
     let gate = scope.gate();
     gate.start_move(&z(-6e-3)).unwrap();
     (0..8).for_each(|_| devices.world().tick());
@@ -770,8 +773,7 @@ fn after_a_change_it_comes_back_in_allowed_steps_and_short_of_an_unknown_focus()
         clock: VirtualClock::new(),
         devices: devices.clone(),
     });
-    let gate = devices.gate(rules);
-    let scope = Instrument::new(gate, Box::new(Absent::new()), clock, CancelToken::new());
+    let scope = devices.instrument(rules, clock, CancelToken::new());
     scope.move_to(&z(1e-3)).unwrap();
     let height = || scope.gate().position().unwrap().si(Axis::Z).unwrap();
     // 8 mm back where 6 are allowed at a time, and a millimetre short: 40x was never in focus.
@@ -799,15 +801,11 @@ fn a_cheap_focus_drive_retreats_farther_and_never_turns_short_of_the_height() {
     let mut devices = Devices::new();
     devices.info.axes[2].repeatability = 25e-6;
     devices.world().at[2] = 0.0;
-    let scope = Instrument::new(
-        devices.gate(rules(RULE)),
-        Box::new(Absent::new()),
-        Arc::new(Ticking {
-            clock: VirtualClock::new(),
-            devices: devices.clone(),
-        }),
-        CancelToken::new(),
-    );
+    let clock = Arc::new(Ticking {
+        clock: VirtualClock::new(),
+        devices: devices.clone(),
+    });
+    let scope = devices.instrument(rules(RULE), clock, CancelToken::new());
     // Its scatter is wider than what is to be retracted: that is no reason to turn here.
     let refused = scope.gate().start_change(&id("40x"));
     assert!(

@@ -1,9 +1,9 @@
 //! Homing goes through the gate like every other motion.
 
 use scopeservo_scope::{
-    Absent, Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, ErrorKind, Instrument,
-    Kinematics, Limits, Motion, MotionGate, PositiveZ, Rules, ScopeError, Stage, StageInfo,
-    StagePose, Timestamp, VirtualClock,
+    Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, Devices, ErrorKind, Instrument,
+    Kinematics, Limits, Motion, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose,
+    Timestamp, VirtualClock,
 };
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
@@ -69,8 +69,11 @@ impl Lost {
                 max: 9e-3,
             }],
         };
-        let gate = MotionGate::new(Box::new(self.clone()), Box::new(Absent::new()), rules).unwrap();
-        Instrument::new(gate, Box::new(Absent::new()), clock, cancel.clone())
+        let devices = Devices {
+            stage: Some(Box::new(self.clone())),
+            ..Devices::none(clock)
+        };
+        Instrument::new(devices, rules, cancel.clone()).unwrap()
     }
 }
 

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Listener, PLACE_UM, options};
 use scopeservo_scope::{
-    Axis, CancelToken, Clock, Instrument, Motion, MotionGate, Nosepiece, Objective, ObjectiveId,
+    Axis, CancelToken, Clock, Devices, Instrument, Motion, Nosepiece, Objective, ObjectiveId,
     ScopeError, VirtualClock,
 };
 use scopeservo_servo::{
@@ -99,14 +99,16 @@ impl Desk {
 
 fn desk(config: Config) -> Desk {
     let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-    let twin = Twin::new(config, Arc::new(Tissue::new(7)), 5, clock.clone()).unwrap();
+    let twin = Twin::new(config, Arc::new(Tissue::new(7)), 5, clock).unwrap();
     let somebody = Somebody {
         real: twin.nosepiece().into(),
         state: Arc::default(),
     };
-    let rules = twin.rules();
-    let gate = MotionGate::new(twin.stage(), Box::new(somebody.clone()), rules).unwrap();
-    let scope = Instrument::new(gate, twin.camera(), clock, CancelToken::new());
+    let devices = Devices {
+        nosepiece: Some(Box::new(somebody.clone())),
+        ..twin.devices()
+    };
+    let scope = Instrument::new(devices, twin.rules(), CancelToken::new()).unwrap();
     twin.centre_specimen(PLACE_UM, 0.0);
     Desk {
         twin,

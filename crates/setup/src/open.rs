@@ -7,10 +7,10 @@ use crate::held::Held;
 use crate::own;
 use crate::rules::rules;
 use crate::simulated::TwinConfig;
-use scopeservo_protocol::{Devices, Driver, Light, Secret};
+use scopeservo_protocol::{Driver, Secret};
 use scopeservo_scope::{
-    Camera, CancelToken, Clock, Instrument, MotionGate, Nosepiece, Objective, ObjectiveId,
-    ScopeError, SystemClock, VirtualClock,
+    CancelToken, Clock, Devices, Instrument, Nosepiece, Objective, ObjectiveId, ScopeError,
+    SystemClock, VirtualClock,
 };
 use scopeservo_twin::{Twin, TwinError};
 use std::collections::BTreeMap;
@@ -32,8 +32,6 @@ pub struct Consent {
 pub struct Opened {
     /// What procedures need.
     pub instrument: Instrument,
-    /// The light, where one was named.
-    pub light: Option<Light>,
     /// The simulated microscope, where it is one.
     pub twin: Option<Twin>,
     /// Each driver with the name it gives itself.
@@ -97,15 +95,21 @@ pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<O
     };
     let rules = rules(config, stage.info(), nosepiece.objectives().len())?;
     // What is wrong with the rules is said before anything moves.
-    let gate = MotionGate::new(stage, nosepiece, rules)?;
-    let scope = Instrument::new(gate, camera, clock, cancel).keeping(held);
+    let devices = Devices {
+        stage: Some(stage),
+        camera: Some(camera),
+        nosepiece: Some(nosepiece),
+        light,
+        clock,
+    };
+    let scope = Instrument::new(devices, rules, cancel)?.keeping(held);
     if !scope.gate().is_homed()? {
         if !consent.home {
             return Err(ScopeError::NotHomed { device: "stage" }.into());
         }
         scope.home()?;
     }
-    set(config, scope.camera(), light.as_ref())?;
+    set(config, &scope)?;
     let drivers = all
         .iter()
         .map(|(n, f)| ((*n).to_owned(), f.name.clone()))
@@ -113,7 +117,6 @@ pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<O
     let twin = all.into_values().find_map(|found| found.twin);
     Ok(Opened {
         instrument: scope,
-        light,
         twin,
         drivers,
     })
@@ -203,12 +206,7 @@ fn simulated(
         })?;
     Ok(Found {
         name: "simulated microscope".into(),
-        devices: Devices {
-            stage: Some(twin.stage()),
-            camera: Some(twin.camera()),
-            nosepiece: Some(twin.nosepiece()),
-            light: None,
-        },
+        devices: twin.devices(),
         twin: Some(twin),
     })
 }
@@ -238,13 +236,13 @@ fn objectives(config: &Config) -> Result<Vec<Objective>, SetupError> {
     Ok(all)
 }
 
-fn set(config: &Config, camera: &dyn Camera, light: Option<&Light>) -> Result<(), SetupError> {
+fn set(config: &Config, scope: &Instrument) -> Result<(), SetupError> {
     if let Some(ms) = config.camera.exposure_ms {
         let exposure = Duration::try_from_secs_f64(ms * 1e-3)
             .map_err(|_| config.senseless(format!("camera.exposure_ms is {ms}")))?;
-        camera.set_exposure(exposure)?;
+        scope.camera().set_exposure(exposure)?;
     }
-    match (config.light.level, light) {
+    match (config.light.level, scope.light()) {
         (Some(level), Some(light)) => {
             light.set_level(level)?;
         }

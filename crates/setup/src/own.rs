@@ -10,8 +10,7 @@ use scopeservo_drivers::gcs2::Gcs2Stage;
 use scopeservo_drivers::link::{Tcp, Transport};
 use scopeservo_drivers::sangaboard::SangaStage;
 use scopeservo_drivers::turret::Turret;
-use scopeservo_protocol::Devices;
-use scopeservo_scope::{Camera, Clock, Nosepiece, Stage};
+use scopeservo_scope::{Camera, Clock, Devices, Nosepiece, Stage};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -27,39 +26,38 @@ pub(crate) fn find(
         let stage = Gcs2Stage::connect(transport(config, own)?, &own.settings)?;
         let stage = Arc::new(stage);
         let nosepiece = stage.nosepiece();
-        return Ok(Some(found(stage, nosepiece)));
+        return Ok(Some(found(stage, nosepiece, clock)));
     }
     if let Some(own) = &driver.gcode {
         let stage = GcodeStage::connect(transport(config, own)?, &own.settings)?;
         let stage = Arc::new(stage);
         let nosepiece = stage.nosepiece();
-        return Ok(Some(found(stage, nosepiece)));
+        return Ok(Some(found(stage, nosepiece, clock)));
     }
     if let Some(own) = &driver.sangaboard {
         let stage = SangaStage::connect(transport(config, own)?, &own.settings)?;
-        return Ok(Some(found(Arc::new(stage), None)));
+        return Ok(Some(found(Arc::new(stage), None, clock)));
     }
     let clock = clock.clone();
+    let on = clock.clone();
     let camera: Box<dyn Camera> = if let Some(web) = &driver.mjpeg {
-        Box::new(mjpeg_camera(&web.settings, login(config, web)?, clock)?)
+        Box::new(mjpeg_camera(&web.settings, login(config, web)?, on)?)
     } else if let Some(web) = &driver.snapshot {
         let login = login(config, web)?;
-        Box::new(SnapshotCamera::connect(&web.settings, login, clock)?)
+        Box::new(SnapshotCamera::connect(&web.settings, login, on)?)
     } else if let Some(folder) = &driver.folder {
         let path = config.resolve(&folder.path);
-        Box::new(FolderCamera::open(folder, path, clock)?)
+        Box::new(FolderCamera::open(folder, path, on)?)
     } else if let Some(device) = &driver.v4l {
-        video(config, device, clock)?
+        video(config, device, on)?
     } else {
         return Ok(None);
     };
     Ok(Some(Found {
         name: camera.info().name.clone(),
         devices: Devices {
-            stage: None,
             camera: Some(camera),
-            nosepiece: None,
-            light: None,
+            ..Devices::none(clock)
         },
         twin: None,
     }))
@@ -130,16 +128,19 @@ fn serial(config: &Config, port: &str, _: u32) -> Result<Box<dyn Transport>, Set
     )))
 }
 
-fn found<T: Stage + 'static>(stage: Arc<T>, nosepiece: Option<Turret>) -> Found {
+fn found<T: Stage + 'static>(
+    stage: Arc<T>,
+    nosepiece: Option<Turret>,
+    clock: &Arc<dyn Clock>,
+) -> Found {
     // A board may drive a nosepiece and nothing else.
     let is_stage = !stage.info().axes.is_empty();
     Found {
         name: stage.info().name.clone(),
         devices: Devices {
             stage: is_stage.then(|| Box::new(stage.clone()) as Box<dyn Stage>),
-            camera: None,
             nosepiece: nosepiece.map(|n| Box::new(n) as Box<dyn Nosepiece>),
-            light: None,
+            ..Devices::none(clock.clone())
         },
         twin: None,
     }

@@ -1,8 +1,7 @@
 //! A simulated microscope over tissue, ready to be studied.
 
 use scopeservo_scope::{
-    Angle, CancelToken, Clock, Instrument, Length, MotionGate, ObjectiveId, ScopeError, StagePose,
-    VirtualClock,
+    Angle, CancelToken, Clock, Instrument, Length, ObjectiveId, ScopeError, StagePose, VirtualClock,
 };
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Calibration, Focus, FocusOptions, NoSink, ServoError,
@@ -28,7 +27,7 @@ impl Bench {
     pub fn tissue(config: Config, seed: u64) -> Result<Self, Box<dyn std::error::Error>> {
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
         let twin = make(config, seed, clock.clone())?;
-        let scope = instrument(&twin, clock)?;
+        let scope = instrument(&twin)?;
         Ok(Self { twin, scope })
     }
 
@@ -85,11 +84,6 @@ fn make(config: Config, seed: u64, clock: Arc<dyn Clock>) -> Result<Twin, TwinEr
     Twin::new(config, Arc::new(Tissue::new(seed)), seed, clock)
 }
 
-fn instrument(twin: &Twin, clock: Arc<dyn Clock>) -> Result<Instrument, ScopeError> {
-    Ok(Instrument::new(
-        MotionGate::new(twin.stage(), twin.nosepiece(), twin.rules())?,
-        twin.camera(),
-        clock,
-        CancelToken::new(),
-    ))
+fn instrument(twin: &Twin) -> Result<Instrument, ScopeError> {
+    Instrument::new(twin.devices(), twin.rules(), CancelToken::new())
 }

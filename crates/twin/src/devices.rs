@@ -7,8 +7,8 @@ use crate::slide::Effects;
 use crate::specimen::Specimen;
 use crate::twin::{Inner, State};
 use scopeservo_scope::{
-    Camera, CameraInfo, Frame, Motion, Nosepiece, Objective, ObjectiveId, ScopeError, Stage,
-    StageInfo, StagePose, Timestamp,
+    Camera, CameraInfo, Frame, Light, Motion, Nosepiece, Objective, ObjectiveId, ScopeError, Stage,
+    StageInfo, StagePose, Timestamp, check_level,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -72,6 +72,19 @@ impl Nosepiece for TwinNosepiece {
         let now = self.0.now();
         self.0.plugged("nosepiece")?.nosepiece.stop(now);
         Ok(())
+    }
+}
+
+pub(crate) struct TwinLight(pub(crate) Arc<Inner>);
+
+impl Light for TwinLight {
+    fn level(&self) -> Result<f64, ScopeError> {
+        Ok(self.0.plugged("light")?.light)
+    }
+    fn set_level(&self, level: f64) -> Result<f64, ScopeError> {
+        check_level(level)?;
+        self.0.plugged("light")?.light = level;
+        Ok(level)
     }
 }
 
@@ -186,7 +199,7 @@ impl Camera for TwinCamera {
         self.0.clock.sleep(ready.saturating_sub(now));
 
         let (start, exposure) = (slot.start.as_secs_f64(), slot.exposure.as_secs_f64());
-        let (specimen, effects, window, place, middle, views, older) = {
+        let (specimen, effects, window, level, place, middle, views, older) = {
             let mut state = self.0.state();
             let middle = self.0.view(&state, start + 0.5 * exposure);
             let truth = self.0.truth(&middle, Some(slot.sequence));
@@ -198,6 +211,7 @@ impl Camera for TwinCamera {
                 state.specimen.clone(),
                 state.slide.effects.clone(),
                 state.window.clone(),
+                state.light,
                 state.stage.reported(start + 0.5 * exposure),
                 middle,
                 self.views(&state, start, exposure),
@@ -216,7 +230,8 @@ impl Camera for TwinCamera {
             &light,
             &self.0.config.optics[middle.objective],
             &Exposure {
-                ms: exposure * 1e3,
+                // Half the light is as dark as half the exposure.
+                ms: exposure * 1e3 * level,
                 lit: middle.lit,
                 sequence: slot.sequence,
                 window: &window,

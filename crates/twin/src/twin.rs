@@ -2,7 +2,7 @@
 
 use crate::camera_config::DustConfig;
 use crate::config::Config;
-use crate::devices::{TwinCamera, TwinNosepiece, TwinStage};
+use crate::devices::{TwinCamera, TwinLight, TwinNosepiece, TwinStage};
 use crate::faults::StageFault;
 use crate::nosepiece::{NosepieceState, Offset, fixed_offsets};
 use crate::optics::{View, view, world_from_pixel};
@@ -15,8 +15,8 @@ use crate::truth::{TrueCalibration, Truth};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 use scopeservo_scope::{
-    Axis, Camera, CameraInfo, ChangeRule, Clock, Nosepiece, Objective, ObjectiveId, Rules,
-    ScopeError, Stage, StageInfo,
+    Axis, Camera, CameraInfo, ChangeRule, Clock, Devices, Light, Nosepiece, Objective, ObjectiveId,
+    Rules, ScopeError, Stage, StageInfo,
 };
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -63,6 +63,8 @@ pub(crate) struct State {
     /// Light that passes the camera's window, per pixel.
     pub(crate) window: Arc<Vec<f32>>,
     pub(crate) exposure: Duration,
+    /// Level of the lamp, 0 to 1.
+    pub(crate) light: f64,
     pub(crate) next_sequence: u64,
     pub(crate) drop_frames: u32,
     pub(crate) late_frames: u32,
@@ -193,6 +195,7 @@ impl Twin {
                 specimen,
                 window: sensor.window(),
                 exposure: ms(camera.exposure_ms),
+                light: 1.0,
                 next_sequence: 0,
                 drop_frames: 0,
                 late_frames: 0,
@@ -226,6 +229,22 @@ impl Twin {
     /// The nosepiece.
     pub fn nosepiece(&self) -> Box<dyn Nosepiece> {
         Box::new(TwinNosepiece(self.inner.clone()))
+    }
+
+    /// The light; fully on at first.
+    pub fn light(&self) -> Box<dyn Light> {
+        Box::new(TwinLight(self.inner.clone()))
+    }
+
+    /// All of its devices.
+    pub fn devices(&self) -> Devices {
+        Devices {
+            stage: Some(self.stage()),
+            camera: Some(self.camera()),
+            nosepiece: Some(self.nosepiece()),
+            light: Some(self.light()),
+            clock: self.inner.clock.clone(),
+        }
     }
 
     /// The rules that a careful owner of this microscope would set: its nosepiece turns 2 mm away from the specimen.

@@ -122,3 +122,21 @@ fn the_digits_in_the_picture_follow_the_stage() {
         assert!((440..454).contains(&y) && x >= 20 + 2 * 6 * 2, "{x}, {y}");
     }
 }
+
+#[test]
+fn a_picture_is_as_bright_as_the_light_is_set() {
+    let bench = Bench::new(Config::noiseless(), grey(0.5));
+    let mean = || {
+        let grey = bench.grab().luminance();
+        grey.iter().map(|v| f64::from(*v)).sum::<f64>() / grey.len() as f64
+    };
+    let light = bench.twin.light();
+    assert_eq!(light.level(), Ok(1.0));
+    let full = mean();
+    assert_eq!(light.set_level(0.5), Ok(0.5));
+    let half = mean();
+    assert!((half / full - 0.5).abs() < 0.02, "{half} of {full}");
+    assert!(light.set_level(f64::NAN).is_err() && light.set_level(-0.1).is_err());
+    light.set_level(0.0).unwrap();
+    assert!(mean() < 0.01 * full);
+}

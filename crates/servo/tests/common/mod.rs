@@ -8,7 +8,7 @@
 )]
 
 use scopeservo_scope::{
-    Axis, AxisRange, CancelToken, Clock, Frame, Instrument, Limits, MotionGate, Rules, VirtualClock,
+    Axis, AxisRange, CancelToken, Clock, Frame, Instrument, Limits, Rules, VirtualClock,
 };
 use scopeservo_servo::{
     Event, Focus, FocusOptions, FrameRole, NoSink, Outcome, Procedure, Progress, Reposition,
@@ -33,18 +33,13 @@ pub fn one_objective() -> Config {
 
 pub fn bench_over(config: Config, specimen: Arc<dyn Specimen>, ranges: Vec<AxisRange>) -> Bench {
     let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-    let twin = Twin::new(config, specimen, 5, clock.clone()).unwrap();
+    let twin = Twin::new(config, specimen, 5, clock).unwrap();
     let cancel = CancelToken::new();
     let rules = Rules {
         limits: Limits { ranges },
         ..twin.rules()
     };
-    let scope = Instrument::new(
-        MotionGate::new(twin.stage(), twin.nosepiece(), rules).unwrap(),
-        twin.camera(),
-        clock,
-        cancel.clone(),
-    );
+    let scope = Instrument::new(twin.devices(), rules, cancel.clone()).unwrap();
     twin.centre_specimen(PLACE_UM, 0.0);
     Bench {
         twin,

@@ -1,8 +1,9 @@
 //! A simulated microscope whose stage misbehaves on demand. The twin knows the truth, and a log what was asked.
 
 use scopeservo_scope::{
-    Axis, AxisRange, Camera, CameraInfo, CancelToken, ChangeRule, Clock, Frame, Instrument, Limits,
-    Motion, MotionGate, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose, VirtualClock,
+    Axis, AxisRange, Camera, CameraInfo, CancelToken, ChangeRule, Clock, Devices, Frame,
+    Instrument, Limits, Motion, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose,
+    VirtualClock,
 };
 use scopeservo_servo::{NoSink, Procedure, ServoError, run};
 use scopeservo_twin::specimen::{Specimen, Tissue};
@@ -313,8 +314,12 @@ impl Bench {
             real: twin.camera(),
             left: pictures.clone(),
         };
-        let gate = MotionGate::new(Box::new(stage), twin.nosepiece(), rules).unwrap();
-        let scope = Instrument::new(gate, Box::new(camera), clock.clone(), cancel);
+        let devices = Devices {
+            stage: Some(Box::new(stage)),
+            camera: Some(Box::new(camera)),
+            ..twin.devices()
+        };
+        let scope = Instrument::new(devices, rules, cancel).unwrap();
         twin.centre_specimen([300.0, 100.0], 0.0);
         Self {
             twin,

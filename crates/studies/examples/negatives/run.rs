@@ -3,8 +3,7 @@
 use crate::Outcome;
 use crate::scene::{Instrument, Scene};
 use scopeservo_scope::{
-    Axis, CancelToken, Clock, Frame, Instrument as Scope, MotionGate, ObjectiveId, StagePose,
-    VirtualClock,
+    Axis, CancelToken, Clock, Frame, Instrument as Scope, ObjectiveId, StagePose, VirtualClock,
 };
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Calibration, Event, FrameRole, NoSink, Reposition,
@@ -122,9 +121,8 @@ impl Bench {
         seed: u64,
     ) -> Outcome<Self> {
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-        let twin = Twin::new(config, specimen, seed, clock.clone())?;
-        let gate = MotionGate::new(twin.stage(), twin.nosepiece(), twin.rules())?;
-        let scope = Scope::new(gate, twin.camera(), clock, CancelToken::new());
+        let twin = Twin::new(config, specimen, seed, clock)?;
+        let scope = Scope::new(twin.devices(), twin.rules(), CancelToken::new())?;
         Ok(Self { twin, scope })
     }
 

@@ -6,8 +6,7 @@
 )]
 
 use scopeservo_scope::{
-    Camera, CancelToken, Clock, Frame, Instrument, MotionGate, ObjectiveId, Stage, StagePose,
-    VirtualClock,
+    Camera, CancelToken, Clock, Frame, Instrument, ObjectiveId, Stage, StagePose, VirtualClock,
 };
 use scopeservo_twin::{Config, Patch, Specimen, SpecimenError, StageConfig, Twin};
 use std::sync::Arc;
@@ -149,12 +148,7 @@ impl Bench {
         self.move_to(StagePose::default().with_si(scopeservo_scope::Axis::Z, z));
     }
     pub fn instrument(&self) -> Instrument {
-        Instrument::new(
-            MotionGate::new(self.twin.stage(), self.twin.nosepiece(), self.twin.rules()).unwrap(),
-            self.twin.camera(),
-            self.clock.clone(),
-            CancelToken::new(),
-        )
+        Instrument::new(self.twin.devices(), self.twin.rules(), CancelToken::new()).unwrap()
     }
 }
 
