@@ -4,11 +4,11 @@ use crate::answer::Answer;
 use crate::args::InitArgs;
 use crate::error::CliError;
 use scopeservo_library::files::write_new;
-use scopeservo_setup::{SCHEMA, TEMPLATE, TWIN_TEMPLATE};
+use scopeservo_setup::{TEMPLATE, TWIN_TEMPLATE, schema};
 
 pub(crate) fn run(args: &InitArgs, answer: &Answer) -> Result<bool, CliError> {
     if args.schema {
-        say!(answer, "{}", SCHEMA.trim_end());
+        say!(answer, "{}", schema().trim_end());
         return Ok(true);
     }
     let path = &args.file;

@@ -2,6 +2,9 @@
 //! typed replies, no input or output), a driver that implements [`scopeservo_scope::Stage`] over any [`link::Transport`],
 //! and an [`emulator`] on a TCP port of this machine to test the driver against.
 //!
+//! Each maker's folder also has its [`factory`], by which a description of an instrument finds the driver: a new maker is a folder and a
+//! line of [`factory::FACTORIES`].
+//!
 //! What every driver keeps to:
 //!
 //! - Nothing moves on connecting. Homing happens only on an explicit call.
@@ -13,6 +16,7 @@
 
 pub mod camera;
 pub mod emulator;
+pub mod factory;
 pub mod gcode;
 pub mod gcs2;
 pub mod link;

@@ -2,18 +2,17 @@
 
 use crate::SetupError;
 use crate::simulated::TwinConfig;
-use scopeservo_drivers::camera::{FolderSettings, MjpegSettings, SnapshotSettings, V4lSettings};
-use scopeservo_drivers::gcode::GcodeSettings;
-use scopeservo_drivers::gcs2::Gcs2Settings;
-use scopeservo_drivers::sangaboard::SangaSettings;
+use crate::tables;
+use scopeservo_drivers::factory::{Described, FACTORIES, Factory};
 use scopeservo_scope::Workspace;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// A whole description of an instrument.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// For people.
@@ -64,7 +63,7 @@ fn data_folder() -> PathBuf {
 }
 
 /// How a driver is found: exactly one of the keys, but that a secret belongs to `tcp`.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DriverConfig {
     /// A program and its arguments, to be started. One with a `/` in its name is looked for from the folder of this file on.
@@ -75,63 +74,9 @@ pub struct DriverConfig {
     pub secret_file: Option<PathBuf>,
     /// The simulated microscope.
     pub twin: Option<TwinConfig>,
-    /// A stage on a controller of PI's that speaks GCS 2.
-    pub gcs2: Option<OwnConfig<Gcs2Settings>>,
-    /// A stage on a Marlin-type G-code board.
-    pub gcode: Option<OwnConfig<GcodeSettings>>,
-    /// A stage on a Sangaboard.
-    pub sangaboard: Option<OwnConfig<SangaSettings>>,
-    /// A camera on the web that sends one JPEG after another.
-    pub mjpeg: Option<WebConfig<MjpegSettings>>,
-    /// A camera on the web that gives a picture for each question.
-    pub snapshot: Option<WebConfig<SnapshotSettings>>,
-    /// A folder of pictures.
-    pub folder: Option<FolderSettings>,
-    /// A video device of this machine.
-    pub v4l: Option<V4lSettings>,
-}
-
-/// A camera on the web, and who may see its pictures.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct WebConfig<T> {
-    /// Where it wants to know who asks.
-    pub user: Option<String>,
-    /// A file with the password.
-    pub password_file: Option<PathBuf>,
-    /// How the camera is set up.
-    pub settings: T,
-}
-
-/// One of our own drivers: where the device is, exactly one of `tcp` and `serial`, and how it is set up.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct OwnConfig<T> {
-    /// Address and port.
-    pub tcp: Option<String>,
-    /// A serial port.
-    pub serial: Option<String>,
-    /// Its speed, bits per second.
-    #[serde(default = "baud")]
-    pub baud: u32,
-    /// How the device is set up.
-    pub settings: T,
-}
-
-fn baud() -> u32 {
-    115_200
-}
-
-impl<T> OwnConfig<T> {
-    pub(crate) fn has_one_place(&self) -> bool {
-        self.tcp.is_some() != self.serial.is_some()
-    }
-}
-
-impl<T> WebConfig<T> {
-    fn has_whole_login(&self) -> bool {
-        self.user.is_some() == self.password_file.is_some()
-    }
+    /// Any other, by its factory.
+    #[serde(skip)]
+    pub(crate) own: Vec<Arc<dyn Described>>,
 }
 
 /// The name of a driver.
@@ -255,8 +200,16 @@ impl Config {
     /// # Errors
     /// As [`Config::read`].
     pub fn parse(text: &str, path: &Path) -> Result<Self, SetupError> {
-        let mut config: Self = toml::from_str(text).map_err(|error| {
-            let at = error.span().map_or(0, |s| s.start).min(text.len());
+        Self::parse_with(text, path, FACTORIES)
+    }
+
+    /// The same with other drivers than ours.
+    ///
+    /// # Errors
+    /// As [`Config::read`].
+    pub fn parse_with(text: &str, path: &Path, known: &[Factory]) -> Result<Self, SetupError> {
+        let mut config = tables::read(text, known).map_err(|error| {
+            let at = error.span.map_or(0, |s| s.start).min(text.len());
             let before = text.as_bytes()[..at].iter();
             let line = before.clone().filter(|&&b| b == b'\n').count() + 1;
             let column = before.rev().take_while(|&&b| b != b'\n').count() + 1;
@@ -264,11 +217,11 @@ impl Config {
                 path: path.into(),
                 line,
                 column,
-                what: with_guess(error.message()),
+                what: with_guess(&error.message),
             }
         })?;
         config.path = path.into();
-        config.check()?;
+        config.check(known)?;
         Ok(config)
     }
 
@@ -284,44 +237,25 @@ impl Config {
         }
     }
 
-    fn check(&self) -> Result<(), SetupError> {
+    fn check(&self, known: &[Factory]) -> Result<(), SetupError> {
         for (name, driver) in &self.drivers {
+            for own in &driver.own {
+                let checked = own.check();
+                checked.map_err(|what| self.senseless(format!("drivers.{name}: {what}")))?;
+            }
             let kinds = [
                 ("program", driver.program.is_some()),
                 ("tcp", driver.tcp.is_some()),
                 ("twin", driver.twin.is_some()),
-                ("gcs2", driver.gcs2.is_some()),
-                ("gcode", driver.gcode.is_some()),
-                ("sangaboard", driver.sangaboard.is_some()),
-                ("mjpeg", driver.mjpeg.is_some()),
-                ("snapshot", driver.snapshot.is_some()),
-                ("folder", driver.folder.is_some()),
-                ("v4l", driver.v4l.is_some()),
             ];
-            let places = [
-                driver.gcs2.as_ref().map(OwnConfig::has_one_place),
-                driver.gcode.as_ref().map(OwnConfig::has_one_place),
-                driver.sangaboard.as_ref().map(OwnConfig::has_one_place),
-            ];
-            let logins = [
-                driver.mjpeg.as_ref().map(WebConfig::has_whole_login),
-                driver.snapshot.as_ref().map(WebConfig::has_whole_login),
-            ];
-            if logins.into_iter().flatten().any(|whole| !whole) {
+            let of_ours = kinds.iter().filter(|(_, is)| *is).count();
+            if of_ours + driver.own.len() != 1 {
+                let all = kinds.iter().map(|(kind, _)| *kind);
+                let all: Vec<&str> = all.chain(known.iter().map(|f| f.kind)).collect();
                 return Err(self.senseless(format!(
-                    "drivers.{name}: user and password_file belong together"
+                    "drivers.{name} must have exactly one of {}",
+                    all.join(", ")
                 )));
-            }
-            if places.into_iter().flatten().any(|one| !one) {
-                return Err(self.senseless(format!(
-                    "drivers.{name} must say where the device is: exactly one of tcp and serial"
-                )));
-            }
-            if kinds.iter().filter(|(_, is)| *is).count() != 1 {
-                let all = kinds.map(|(kind, _)| kind).join(", ");
-                return Err(
-                    self.senseless(format!("drivers.{name} must have exactly one of {all}"))
-                );
             }
             if driver.program.as_ref().is_some_and(Vec::is_empty) {
                 return Err(self.senseless(format!("drivers.{name}.program is empty")));

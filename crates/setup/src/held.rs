@@ -6,6 +6,7 @@
 
 use crate::SetupError;
 use crate::config::{Config, DriverConfig};
+use scopeservo_drivers::factory::Place;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
@@ -59,22 +60,17 @@ impl Held {
 /// Where the device is of a driver that can move something. The simulated microscope of this program is nobody else's, and whoever only
 /// looks may share a camera.
 fn place(config: &Config, driver: &DriverConfig) -> Option<String> {
-    let own = |tcp: &Option<String>, serial: &Option<String>| match (tcp, serial) {
-        (Some(address), _) => Some(at_address(address)),
-        (None, Some(port)) => Some(format!("serial {}", real(Path::new(port)).display())),
-        (None, None) => None,
-    };
     if let Some(program) = &driver.program {
         return Some(program_at(program, &config.resolve(Path::new(""))));
     }
     if let Some(address) = &driver.tcp {
         return Some(at_address(address));
     }
-    let (gcs2, gcode, sanga) = (&driver.gcs2, &driver.gcode, &driver.sangaboard);
-    let gcs2 = gcs2.as_ref().and_then(|d| own(&d.tcp, &d.serial));
-    let gcode = gcode.as_ref().and_then(|d| own(&d.tcp, &d.serial));
-    let sanga = sanga.as_ref().and_then(|d| own(&d.tcp, &d.serial));
-    gcs2.or(gcode).or(sanga)
+    let place = driver.own.first()?.place()?;
+    Some(match place {
+        Place::Tcp(address) => at_address(address),
+        Place::Serial(port) => format!("serial {}", real(Path::new(port)).display()),
+    })
 }
 
 fn at_address(address: &str) -> String {

@@ -8,15 +8,15 @@ mod config;
 mod error;
 mod held;
 mod open;
-mod own;
 mod rules;
 mod simulated;
+mod tables;
 mod template;
 
 pub use by_hand::Ask;
-pub use config::{Config, DeviceName, DriverConfig, ObjectiveConfig, OwnConfig};
+pub use config::{Config, DeviceName, DriverConfig, ObjectiveConfig};
 pub use error::SetupError;
 pub use held::Held;
 pub use open::{Consent, Opened, open};
 pub use simulated::{TwinConfig, TwinStage};
-pub use template::{SCHEMA, TEMPLATE, TWIN_TEMPLATE};
+pub use template::{TEMPLATE, TWIN_TEMPLATE, schema};

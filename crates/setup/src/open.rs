@@ -4,9 +4,9 @@ use crate::SetupError;
 use crate::by_hand::{Ask, ByHand};
 use crate::config::{Config, DriverConfig, ObjectiveConfig};
 use crate::held::Held;
-use crate::own;
 use crate::rules::rules;
 use crate::simulated::TwinConfig;
+use scopeservo_drivers::factory::{Around, ConnectError, Connected, read_secret};
 use scopeservo_protocol::{Driver, Secret};
 use scopeservo_scope::{
     CancelToken, Clock, Devices, Instrument, Nosepiece, Objective, ObjectiveId, ScopeError,
@@ -14,8 +14,7 @@ use scopeservo_scope::{
 };
 use scopeservo_twin::{Twin, TwinError};
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -70,13 +69,13 @@ pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<O
         ))
     };
     let devices = &config.devices;
-    let stage = of(&mut all, &devices.stage).and_then(|d| d.stage.take());
+    let stage = devices_of(&mut all, &devices.stage).and_then(|d| d.stage.take());
     let stage = stage.ok_or_else(|| lacks(&devices.stage, "stage"))?;
-    let camera = of(&mut all, &devices.camera).and_then(|d| d.camera.take());
+    let camera = devices_of(&mut all, &devices.camera).and_then(|d| d.camera.take());
     let camera = camera.ok_or_else(|| lacks(&devices.camera, "camera"))?;
     let nosepiece: Box<dyn Nosepiece> = match devices.nosepiece.as_str() {
         "by-hand" | "none" => Box::new(ByHand::new(objectives(config)?, consent.ask.clone())),
-        driver => of(&mut all, driver)
+        driver => devices_of(&mut all, driver)
             .and_then(|d| d.nosepiece.take())
             .ok_or_else(|| {
                 config.senseless(format!(
@@ -88,7 +87,7 @@ pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<O
     let light = match &devices.light {
         None => None,
         Some(driver) => Some(
-            of(&mut all, driver)
+            devices_of(&mut all, driver)
                 .and_then(|d| d.light.take())
                 .ok_or_else(|| lacks(driver, "light"))?,
         ),
@@ -122,7 +121,7 @@ pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<O
     })
 }
 
-fn of<'a>(all: &'a mut BTreeMap<&str, Found>, driver: &str) -> Option<&'a mut Devices> {
+fn devices_of<'a>(all: &'a mut BTreeMap<&str, Found>, driver: &str) -> Option<&'a mut Devices> {
     all.get_mut(driver).map(|found| &mut found.devices)
 }
 
@@ -141,8 +140,17 @@ fn find(
     if let Some(twin) = &driver.twin {
         return simulated(config, twin, clock);
     }
-    if let Some(own) = own::find(config, driver, clock)? {
-        return Ok(own);
+    if let Some(own) = driver.own.first() {
+        let around = Around {
+            resolve: &|path| config.resolve(path),
+            clock,
+        };
+        let Connected { name, devices } = own.connect(&around).map_err(of(config))?;
+        return Ok(Found {
+            name,
+            devices,
+            twin: None,
+        });
     }
     let driver = match (&driver.program, &driver.tcp) {
         (Some(program), _) => {
@@ -173,20 +181,19 @@ fn find(
     })
 }
 
-/// A file that nobody else should read, and where it is.
-pub(crate) fn read_secret(config: &Config, file: &Path) -> Result<(PathBuf, Vec<u8>), SetupError> {
-    let path = config.resolve(file);
-    match fs::read(&path) {
-        Ok(bytes) => Ok((path, bytes)),
-        Err(error) => Err(SetupError::Secret {
-            path,
-            what: error.to_string(),
-        }),
+/// What a driver says, of this description.
+fn of(config: &Config) -> impl Fn(ConnectError) -> SetupError {
+    |error| match error {
+        ConnectError::Description(what) => config.senseless(what),
+        ConnectError::Secret { path, what } => SetupError::Secret { path, what },
+        ConnectError::Scope(error) => error.into(),
+        other => config.senseless(other.to_string()),
     }
 }
 
 fn secret(config: &Config, file: &Path) -> Result<Secret, SetupError> {
-    let (path, bytes) = read_secret(config, file)?;
+    let read = read_secret(&|path| config.resolve(path), file);
+    let (path, bytes) = read.map_err(of(config))?;
     Secret::new(&bytes).ok_or_else(|| SetupError::Secret {
         path,
         what: format!("it must have {} bytes or more", Secret::MIN_BYTES),

@@ -1,7 +1,19 @@
 //! What `scopeservo init` writes.
 
+use scopeservo_drivers::factory::FACTORIES;
+
+/// All but the drivers that have a factory.
+const SCHEMA: &str = include_str!("scopeservo.schema.json");
+/// Where these go.
+const PLACE: &str = "\n     \"@factories\": {}";
+
 /// A JSON schema of the file, for editors.
-pub const SCHEMA: &str = include_str!("scopeservo.schema.json");
+pub fn schema() -> String {
+    let of = |schema: &str| schema.trim_end().replace('\n', "\n     ");
+    let all = FACTORIES.iter();
+    let all = all.map(|f| format!("\n     \"{}\": {}", f.kind, of(f.schema)));
+    SCHEMA.replace(PLACE, &all.collect::<Vec<_>>().join(","))
+}
 
 /// For an instrument of the user's.
 pub const TEMPLATE: &str = r#"# What this instrument is made of and what it may do. Units are in the names: um, deg, ms.

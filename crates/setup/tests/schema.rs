@@ -1,6 +1,6 @@
 //! The schema for editors knows the keys that the program knows, no more and no fewer.
 
-use scopeservo_setup::{Config, SCHEMA, TWIN_TEMPLATE};
+use scopeservo_setup::{Config, TWIN_TEMPLATE, schema};
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -20,7 +20,7 @@ fn known_keys(table: &str) -> BTreeSet<String> {
 }
 
 fn schema_keys(pointer: &str) -> BTreeSet<String> {
-    let schema: Value = serde_json::from_str(SCHEMA).unwrap();
+    let schema: Value = serde_json::from_str(&schema()).unwrap();
     let at = schema
         .pointer(pointer)
         .unwrap_or_else(|| panic!("{pointer}"));
@@ -142,7 +142,7 @@ fn the_schema_has_the_keys_of_the_program_table_by_table() {
 
 #[test]
 fn what_the_schema_requires_the_program_requires() {
-    let schema: Value = serde_json::from_str(SCHEMA).unwrap();
+    let schema: Value = serde_json::from_str(&schema()).unwrap();
     let without = |key: &str| -> String {
         let start = TWIN_TEMPLATE.find(&format!("\n{key}")).unwrap() + 1;
         let end = start + TWIN_TEMPLATE[start..].find('\n').unwrap();

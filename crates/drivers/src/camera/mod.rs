@@ -6,6 +6,7 @@
 //! moment at which the exposure can have begun.
 
 mod exposing;
+mod factory;
 mod folder;
 pub mod http;
 mod jpeg;
@@ -20,6 +21,7 @@ mod v4l;
 mod v4l_settings;
 
 pub use exposing::ExposureSettings;
+pub use factory::{FOLDER, MJPEG, SNAPSHOT, V4L};
 pub use folder::{FolderCamera, FolderOrder, FolderSettings};
 pub use mjpeg::{MjpegSettings, mjpeg_camera};
 pub use snapshot::{SnapshotCamera, SnapshotSettings};

@@ -4,8 +4,10 @@
 //! stop: a move is sent, and where the steppers are is asked until they are at the goal.
 
 pub mod codec;
+mod factory;
 mod settings;
 mod stage;
 
+pub use factory::FACTORY;
 pub use settings::{GcodeAxis, GcodeNosepiece, GcodeSettings};
 pub use stage::GcodeStage;

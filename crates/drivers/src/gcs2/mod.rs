@@ -2,8 +2,10 @@
 //! axes. Lengths are millimetres and angles degrees on the wire.
 
 pub mod codec;
+mod factory;
 mod settings;
 mod stage;
 
+pub use factory::FACTORY;
 pub use settings::{Gcs2Nosepiece, Gcs2Settings, LinearAxis, RotaryAxis};
 pub use stage::Gcs2Stage;

@@ -2,8 +2,10 @@
 //! "stop". Older firmware hears nothing while it moves and is refused.
 
 pub mod codec;
+mod factory;
 mod settings;
 mod stage;
 
+pub use factory::FACTORY;
 pub use settings::{SangaAxis, SangaSettings};
 pub use stage::SangaStage;
