@@ -135,7 +135,7 @@ impl Answer {
             Err(error) => (error.code().exit(), Some(error)),
         };
         if let Some(error) = &error {
-            tell!("scopeservo: {error}");
+            tell!("scopeservo: {}", error.words());
         }
         if self.json
             && let Err(error) = print(&state.object(error.as_ref()).to_string())
@@ -176,7 +176,7 @@ impl State {
         object.insert("schema".into(), json!(SCHEMA));
         object.insert("warnings".into(), json!(self.warnings));
         if let Some(error) = error {
-            let error = json!({"code": error.code(), "message": error.to_string()});
+            let error = json!({"code": error.code(), "message": error.words()});
             object.insert("error".into(), error);
         }
         object.into()

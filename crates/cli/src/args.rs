@@ -172,3 +172,22 @@ pub(crate) struct DriverCheckArgs {
     #[arg(last = true, value_name = "COMMAND")]
     pub(crate) command: Vec<String>,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_grammar_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn pairs_are_two_finite_numbers() {
+        assert_eq!(parse_pair("300,-150.5"), Ok([300.0, -150.5]));
+        for bad in ["300", "1,x", "nan,1", "inf,0", ""] {
+            assert!(parse_pair(bad).is_err(), "{bad}");
+        }
+    }
+}

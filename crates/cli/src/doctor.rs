@@ -88,7 +88,7 @@ impl<'a> Findings<'a> {
 }
 
 fn told(error: ScopeError) -> String {
-    error.to_string()
+    CliError::from(error).words()
 }
 
 pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> {
@@ -97,7 +97,7 @@ pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> 
         Ok(desk) => desk,
         Err(error) => match error.code() {
             Code::NoDriver | Code::Refused | Code::InUse | Code::Fault => {
-                findings.look("the instrument can be opened", Err(error.to_string()));
+                findings.look("the instrument can be opened", Err(error.words()));
                 return findings.conclude("doctor");
             }
             // A file that cannot be understood is bad input, not a finding, and neither is a stop.

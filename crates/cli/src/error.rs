@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 use scopeservo_library::LibraryError;
-use scopeservo_scope::{ErrorKind, ScopeError};
+use scopeservo_scope::{ErrorKind, Remedy, ScopeError};
 use scopeservo_servo::ServoError;
 use scopeservo_setup::SetupError;
 use scopeservo_slide::SlideError;
@@ -36,7 +36,7 @@ pub(crate) enum CliError {
         /// What else to do.
         instead: &'static str,
     },
-    #[error("{}", library_words(.0))]
+    #[error(transparent)]
     Library(#[from] LibraryError),
     #[error(transparent)]
     Setup(#[from] SetupError),
@@ -120,6 +120,25 @@ impl Code {
 }
 
 impl CliError {
+    /// What is wrong, and which command or flag of this program helps.
+    pub(crate) fn words(&self) -> String {
+        let remedy = match self {
+            Self::Servo(ServoError::Scope(error)) => error.remedy(),
+            Self::Setup(SetupError::Read { .. }) => {
+                return format!("{self}. `scopeservo init` writes one");
+            }
+            Self::Library(LibraryError::NoTarget { known, .. }) if known.is_empty() => {
+                return format!("{self}: `scopeservo target save NAME`");
+            }
+            Self::Setup(error) => error.remedy(),
+            _ => None,
+        };
+        match remedy {
+            Some(remedy) => format!("{self}{}", advice(&remedy)),
+            None => self.to_string(),
+        }
+    }
+
     pub(crate) fn code(&self) -> Code {
         match self {
             Self::Usage(_) => Code::Usage,
@@ -135,16 +154,6 @@ impl CliError {
     }
 }
 
-/// What a library says, and which command helps.
-fn library_words(error: &LibraryError) -> String {
-    match error {
-        LibraryError::NoTarget { known, .. } if known.is_empty() => {
-            format!("{error}: `scopeservo target save NAME`")
-        }
-        _ => error.to_string(),
-    }
-}
-
 fn library_code(error: &LibraryError) -> Code {
     match error {
         LibraryError::BadName(_) | LibraryError::Taken { .. } | LibraryError::NoTarget { .. } => {
@@ -155,6 +164,18 @@ fn library_code(error: &LibraryError) -> Code {
         LibraryError::Read { .. } => Code::CannotRead,
         LibraryError::Damaged { .. } => Code::Damaged,
         _ => Code::Internal,
+    }
+}
+
+/// The end of the sentence that an error is.
+fn advice(remedy: &Remedy) -> String {
+    match remedy {
+        Remedy::Home => ", then allow it with --home".into(),
+        Remedy::BringBack => ": `scopeservo stage go`".into(),
+        Remedy::FocusNear { objective, z_um } => {
+            format!(": `scopeservo focus --objective {objective} --near-z-um {z_um:.1}`")
+        }
+        _ => String::new(),
     }
 }
 
@@ -216,6 +237,38 @@ mod tests {
             Some((word, cells.next()?.trim().parse().ok()?))
         });
         rows.collect()
+    }
+
+    #[test]
+    fn an_error_names_the_flag_or_the_command_that_helps() {
+        let told = |error: ScopeError| {
+            let ours = CliError::from(error.clone()).words();
+            assert_eq!(CliError::Setup(error.clone().into()).words(), ours);
+            // The library names neither.
+            let theirs = error.to_string();
+            assert!(!theirs.contains("--") && !theirs.contains('`'), "{theirs}");
+            ours
+        };
+        let home = told(ScopeError::NotHomed { device: "stage" });
+        assert!(
+            home.ends_with("make room, then allow it with --home"),
+            "{home}"
+        );
+        let breach = || scopeservo_scope::Breach::Workspace { share: 1.5 };
+        for outside in [
+            told(ScopeError::StandsOutside { breach: breach() }),
+            told(ScopeError::Strayed { breach: breach() }),
+        ] {
+            assert!(outside.ends_with("`scopeservo stage go`"), "{outside}");
+        }
+        let change = told(ScopeError::ChangeEnded {
+            asked: scopeservo_scope::ObjectiveId("40x".into()),
+            retracted_from_um: Some(12.34),
+        });
+        assert!(
+            change.ends_with("from before: `scopeservo focus --objective 40x --near-z-um 12.3`"),
+            "{change}"
+        );
     }
 
     #[test]

@@ -15,6 +15,14 @@ pub(crate) fn device(detail: impl Into<String>) -> ScopeError {
     }
 }
 
+/// A command that the stage will not carry out, in its words: nothing moved.
+pub(crate) fn refused(detail: impl Into<String>) -> ScopeError {
+    ScopeError::Refused {
+        device: "stage",
+        detail: detail.into(),
+    }
+}
+
 /// A setting that makes no sense.
 pub(crate) fn bad_setting(what: impl Into<String>) -> ScopeError {
     ScopeError::BadSetting { what: what.into() }

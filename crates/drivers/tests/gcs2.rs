@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Bench, detail, is_device, pose, tcp, wait};
+use common::{Bench, detail, is_device, pose, refusal, tcp, wait};
 use scopeservo_drivers::emulator::Fault;
 use scopeservo_drivers::emulator::gcs2::{
     Controller, EmulatedAxis, EmulatedStage, Gcs2Emulator, Obeys,
@@ -126,7 +126,7 @@ fn axes_of_their_own_are_driven_by_their_names() {
     stage.set_velocity_si(Axis::X, 5e-3).unwrap();
     assert!((stage.velocity_si(Axis::X).unwrap() - 5e-3).abs() < 1e-12);
     assert!((stage.velocity_si(Axis::Y).unwrap() - 10e-3).abs() < 1e-12);
-    let why = detail(stage.set_velocity_si(Axis::X, 1.0).unwrap_err());
+    let why = refusal(stage.set_velocity_si(Axis::X, 1.0).unwrap_err());
     assert!(why.contains("velocity is out of limits"), "{why}");
 }
 
@@ -184,7 +184,7 @@ fn limits_are_refused_and_nothing_is_sent() {
 fn a_coupled_pose_out_of_reach_is_refused_before_it_is_sent() {
     let (emulator, stage) = hexapod();
     let to = pose(Axis::X, 20e-3).with_si(Axis::Y, 20e-3);
-    let why = detail(stage.start_move(&to).unwrap_err());
+    let why = refusal(stage.start_move(&to).unwrap_err());
     assert!(why.contains("cannot be reached"), "{why}");
     assert!(!emulator.heard().iter().any(|l| l.starts_with("MOV")));
     assert_eq!(emulator.truth(), [0.0; 6]);
@@ -200,7 +200,7 @@ fn a_pose_that_the_controller_itself_refuses_is_told_in_words() {
     settings.coupled = false;
     let stage = connect(&emulator, &settings).unwrap();
     let to = pose(Axis::X, 20e-3).with_si(Axis::Y, 20e-3);
-    let why = detail(stage.start_move(&to).unwrap_err());
+    let why = refusal(stage.start_move(&to).unwrap_err());
     assert!(why.contains("error 7") && why.contains("limits"), "{why}");
     assert_eq!(stage.poll().unwrap(), Motion::Settled);
     assert_eq!(emulator.truth(), [0.0; 6]);
@@ -209,13 +209,21 @@ fn a_pose_that_the_controller_itself_refuses_is_told_in_words() {
 #[test]
 fn other_error_numbers_are_told_with_the_number() {
     let (emulator, stage) = hexapod();
-    for number in [1, 17, 815] {
+    // What the controller cannot read is a fault, what it will not do a refusal.
+    type Words = fn(ScopeError) -> String;
+    let each: [(i32, Words); 4] = [(1, detail), (8, refusal), (17, refusal), (815, detail)];
+    for (number, words) in each {
         emulator.set_error(number);
-        let why = detail(stage.set_platform_velocity_um_per_s(1000.0).unwrap_err());
+        let why = words(stage.set_platform_velocity_um_per_s(1000.0).unwrap_err());
         assert!(why.contains(&format!("error {number}:")), "{why}");
         // Reading it has cleared it.
         stage.set_platform_velocity_um_per_s(1000.0).unwrap();
     }
+    emulator.set_error(5);
+    assert_eq!(
+        stage.set_platform_velocity_um_per_s(1000.0),
+        Err(ScopeError::NotHomed { device: "stage" })
+    );
 }
 
 #[test]
@@ -298,7 +306,7 @@ fn pivot_and_velocity_are_set_and_read_back() {
     }
     stage.start_move(&pose(Axis::Rz, 0.01)).unwrap();
     wait(&stage);
-    let why = detail(stage.set_pivot(point).unwrap_err());
+    let why = refusal(stage.set_pivot(point).unwrap_err());
     assert!(why.contains("rotations are zero"), "{why}");
 }
 

@@ -38,6 +38,8 @@ impl From<ScopeError> for No {
             ScopeError::NoSuchObjective { .. } => Code::NoSuchObjective,
             ScopeError::Busy { .. } => Code::Busy,
             ScopeError::NotHomed { .. } => Code::NotHomed,
+            // By the page: what a stop has overtaken does not begin.
+            ScopeError::Interrupted { .. } => Code::Refused,
             other => match other.kind() {
                 ErrorKind::Refused => Code::Refused,
                 _ => Code::Fault,

@@ -115,7 +115,7 @@ pub enum ScopeError {
     },
     /// The device does not know where it is. Nothing moved.
     #[error(
-        "the {device} does not know where it is and must be homed first, which moves it: make room, then allow it with --home"
+        "the {device} does not know where it is and must be homed first, which moves it: make room"
     )]
     NotHomed {
         /// Which device.
@@ -138,7 +138,7 @@ pub enum ScopeError {
     /// The stage stands outside, and a move was asked for that does not bring it back. Nothing moved.
     #[error(
         "the stage stands where it may not: {breach}; nothing moved. Only moves back inside are allowed, and straight away from the \
-         specimen: `scopeservo stage go`"
+         specimen"
     )]
     StandsOutside {
         /// What it breaks.
@@ -172,8 +172,7 @@ pub enum ScopeError {
     },
     /// After a move the stage stands where it may not. It was told to stop.
     #[error(
-        "after a move the stage stands where it may not: {breach}; it was told to stop. See what moved it there, then bring it back \
-         with `scopeservo stage go`"
+        "after a move the stage stands where it may not: {breach}; it was told to stop. See what moved it there, then bring it back"
     )]
     Strayed {
         /// What it breaks.
@@ -212,8 +211,8 @@ pub enum ScopeError {
             None => String::new(),
         },
         match retracted_from_um {
-            Some(from) => format!(", and focus near the height from before: `scopeservo focus --objective {asked} --near-z-um {from:.1}`"),
-            None => String::new(),
+            Some(_) => ", and focus near the height from before",
+            None => "",
         }
     )]
     ChangeEnded {
@@ -250,6 +249,23 @@ pub enum ScopeError {
     },
 }
 
+/// What can be done about an error, besides what its words say: each front end names the command or the button that does it.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum Remedy {
+    /// Let the stage find its reference, which moves it.
+    Home,
+    /// Move the stage back to where it may stand.
+    BringBack,
+    /// Focus near the height from before the change.
+    FocusNear {
+        /// With this objective.
+        objective: ObjectiveId,
+        /// The height, um.
+        z_um: f64,
+    },
+}
+
 /// What kind of trouble an error is, for deciding what to do next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
@@ -263,6 +279,22 @@ pub enum ErrorKind {
 }
 
 impl ScopeError {
+    /// What can be done about it, where a program can do it.
+    pub fn remedy(&self) -> Option<Remedy> {
+        match self {
+            Self::NotHomed { .. } => Some(Remedy::Home),
+            Self::StandsOutside { .. } | Self::Strayed { .. } => Some(Remedy::BringBack),
+            Self::ChangeEnded {
+                asked,
+                retracted_from_um: Some(z_um),
+            } => Some(Remedy::FocusNear {
+                objective: asked.clone(),
+                z_um: *z_um,
+            }),
+            _ => None,
+        }
+    }
+
     /// What kind of trouble this is.
     pub fn kind(&self) -> ErrorKind {
         match self {

@@ -192,7 +192,7 @@ impl MotionGate {
     /// [`ScopeError::OutsideLimits`], [`ScopeError::OutsideWorkspace`], [`ScopeError::TooClose`], [`ScopeError::StandsOutside`],
     /// [`ScopeError::NoSuchAxis`] or [`ScopeError::NotFinite`]; and those of [`MotionGate::position`].
     pub fn check(&self, to: &StagePose) -> Result<(), ScopeError> {
-        self.check_numbers(to)?;
+        self.info().check_axes(to)?;
         let here = self.position()?;
         self.judge(&self.in_beam()?).check_goal(&here, to)
     }
@@ -207,7 +207,7 @@ impl MotionGate {
         let in_beam = self.in_beam()?;
         let may = |to: &StagePose| {
             let goal = self.judge(&in_beam).check_goal(&here, to);
-            self.check_numbers(to).and(goal).is_ok()
+            self.info().check_axes(to).and(goal).is_ok()
         };
         Ok(places.iter().map(may).collect())
     }
@@ -266,7 +266,7 @@ impl MotionGate {
     /// [`ScopeError::NotHomed`], [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report. Unless it is one of the stage's
     /// own faults, nothing moved.
     pub fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
-        self.check_numbers(to)?;
+        self.info().check_axes(to)?;
         let _begin = self.begin();
         let stops = self.stops.load(Ordering::SeqCst);
         self.check_cancel()?;
@@ -439,19 +439,6 @@ impl MotionGate {
     /// Whether a rule depends on the objective.
     fn narrows(&self) -> bool {
         !self.rules.objective_limits.is_empty() || !self.rules.zones.is_empty()
-    }
-
-    fn check_numbers(&self, to: &StagePose) -> Result<(), ScopeError> {
-        for axis in Axis::ALL {
-            let Some(asked) = to.si(axis) else { continue };
-            if self.info().axis(axis).is_none() {
-                return Err(ScopeError::NoSuchAxis { axis });
-            }
-            if !asked.is_finite() {
-                return Err(ScopeError::NotFinite { axis });
-            }
-        }
-        Ok(())
     }
 
     /// Objectives that may be in the beam: all of them when nobody knows, or only somebody's word tells.

@@ -1,8 +1,9 @@
 //! A whole microscope: what moves, behind its gate, camera and clock, with the waiting that every procedure needs.
 
 use crate::{
-    Absent, Axis, AxisInfo, Camera, ChangeRule, Clock, Devices, ErrorKind, FlatField, Frame, Length, Light,
-    Motion, MotionGate, Objective, ObjectiveId, Rules, ScopeError, StagePose, stand_still,
+    Absent, Axis, AxisInfo, Camera, ChangeRule, Clock, Devices, ErrorKind, FlatField, Frame,
+    Length, Light, Motion, MotionGate, Objective, ObjectiveId, Rules, ScopeError, StagePose,
+    stand_still,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -31,7 +31,7 @@ pub use absent::Absent;
 pub use camera::{Camera, CameraInfo, Channels, Frame, Samples};
 pub use clock::{Clock, SystemClock, Timestamp, VirtualClock};
 pub use devices::Devices;
-pub use error::{ErrorKind, ScopeError};
+pub use error::{ErrorKind, Remedy, ScopeError};
 pub use flat_field::FlatField;
 pub use gate::{AtWork, MotionGate};
 pub use instrument::{CancelToken, Counters, Instrument};

@@ -275,6 +275,45 @@ impl StageInfo {
     pub fn axis(&self, axis: Axis) -> Option<&AxisInfo> {
         self.axes.iter().find(|info| info.axis == axis)
     }
+
+    /// Whether a goal names axes that there are, with numbers.
+    ///
+    /// # Errors
+    /// [`ScopeError::NoSuchAxis`], [`ScopeError::NotFinite`].
+    pub fn check_axes(&self, to: &StagePose) -> Result<(), ScopeError> {
+        for axis in Axis::ALL {
+            match (to.si(axis), self.axis(axis)) {
+                (None, _) => {}
+                (Some(_), None) => return Err(ScopeError::NoSuchAxis { axis }),
+                (Some(asked), Some(_)) if !asked.is_finite() => {
+                    return Err(ScopeError::NotFinite { axis });
+                }
+                (Some(_), Some(_)) => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a goal lies within the travel: what every stage refuses by itself, whatever its gate allows.
+    ///
+    /// # Errors
+    /// Those of [`StageInfo::check_axes`]; [`ScopeError::OutsideLimits`].
+    pub fn check_goal(&self, to: &StagePose) -> Result<(), ScopeError> {
+        self.check_axes(to)?;
+        for AxisInfo { axis, min, max, .. } in &self.axes {
+            if let Some(asked) = to.si(*axis)
+                && (asked < *min || asked > *max)
+            {
+                return Err(ScopeError::OutsideLimits {
+                    axis: *axis,
+                    asked: axis.to_display(asked),
+                    min: axis.to_display(*min),
+                    max: axis.to_display(*max),
+                });
+            }
+        }
+        Ok(())
+    }
 }
 
 /// What a moving device is doing.

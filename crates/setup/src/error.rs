@@ -1,7 +1,7 @@
 //! What can be wrong with a description of an instrument, or with finding the instrument.
 
 use scopeservo_protocol::DriverError;
-use scopeservo_scope::ScopeError;
+use scopeservo_scope::{Remedy, ScopeError};
 use scopeservo_twin::TwinError;
 use scopeservo_twin::specimen::SpecimenError;
 use std::path::PathBuf;
@@ -12,7 +12,7 @@ use thiserror::Error;
 #[non_exhaustive]
 pub enum SetupError {
     /// The file cannot be read.
-    #[error("{path} cannot be read: {source}. `scopeservo init` writes one")]
+    #[error("{path} cannot be read: {source}")]
     Read {
         /// The file.
         path: PathBuf,
@@ -89,6 +89,14 @@ pub enum SetupError {
 }
 
 impl SetupError {
+    /// What can be done about it, where a program can do it.
+    pub fn remedy(&self) -> Option<Remedy> {
+        match self.root() {
+            Self::Scope(error) => error.remedy(),
+            _ => None,
+        }
+    }
+
     /// What is wrong, whichever driver it is with.
     pub fn root(&self) -> &Self {
         match self {

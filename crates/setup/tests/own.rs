@@ -2,7 +2,7 @@
 
 use scopeservo_drivers::emulator::gcs2::{EmulatedStage, Gcs2Emulator};
 use scopeservo_drivers::emulator::sangaboard::{EmulatedSanga, SangaEmulator};
-use scopeservo_scope::{Axis, CancelToken, ObjectiveId, ScopeError, StagePose};
+use scopeservo_scope::{Axis, CancelToken, ObjectiveId, Remedy, ScopeError, StagePose};
 use scopeservo_setup::{Config, Consent, Opened, SetupError, open};
 use std::path::Path;
 use std::sync::Arc;
@@ -71,7 +71,16 @@ fn a_stage_that_needs_homing_is_homed_only_with_consent() {
     stage.referenced = false;
     let emulator = Gcs2Emulator::serve(stage).unwrap();
     let refused = opened(&gcs2(&emulator.address()), false).err().unwrap();
-    assert!(refused.to_string().contains("--home"), "{refused}");
+    assert!(
+        matches!(
+            refused.root(),
+            SetupError::Scope(ScopeError::NotHomed { device: "stage" })
+        ),
+        "{refused}"
+    );
+    // What to do is a word for whoever asks the user, and no flag of any program.
+    assert_eq!(refused.remedy(), Some(Remedy::Home));
+    assert!(!refused.to_string().contains("--"), "{refused}");
     assert!(
         !emulator
             .heard()

@@ -249,24 +249,7 @@ impl StageState {
     }
 
     pub(crate) fn start_move(&mut self, to: &StagePose, now: f64) -> Result<(), ScopeError> {
-        for axis in Axis::ALL {
-            let Some(asked) = to.si(axis) else { continue };
-            let Some(config) = self.config.axes.iter().find(|a| a.axis == axis) else {
-                return Err(ScopeError::NoSuchAxis { axis });
-            };
-            if !asked.is_finite() {
-                return Err(ScopeError::NotFinite { axis });
-            }
-            let [min, max] = config.travel.map(|v| v * coarse_si(axis));
-            if asked < min || asked > max {
-                return Err(ScopeError::OutsideLimits {
-                    axis,
-                    asked: axis.to_display(asked),
-                    min: axis.to_display(min),
-                    max: axis.to_display(max),
-                });
-            }
-        }
+        self.config.info().check_goal(to)?;
         if self.motion(now) == Motion::Moving {
             return Err(ScopeError::Busy { device: "stage" });
         }

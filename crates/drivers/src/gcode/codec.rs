@@ -206,8 +206,7 @@ pub fn decode(line: &str) -> Line {
     if echo.starts_with("busy:") {
         return Line::Busy;
     }
-    let homes_first = echo.starts_with("Home ") && echo.ends_with(" First");
-    if echo.starts_with("Unknown command") || homes_first {
+    if echo.starts_with("Unknown command") || wants_homing(echo) {
         return Line::Refused(echo.into());
     }
     match report(line) {
@@ -239,6 +238,11 @@ fn pairs<T: std::str::FromStr>(text: &str) -> Option<Vec<(char, T)>> {
         rest = rest[end..].trim_start();
     }
     Some(pairs)
+}
+
+/// Whether a refusal says that the board does not know where it is.
+pub fn wants_homing(refusal: &str) -> bool {
+    refusal.starts_with("Home ") && refusal.ends_with(" First")
 }
 
 #[cfg(test)]

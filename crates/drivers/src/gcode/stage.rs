@@ -3,7 +3,7 @@
 use crate::gcode::codec::{self, Command, Line, Report};
 use crate::gcode::settings::{GcodeSettings, Motor};
 use crate::link::Transport;
-use crate::session::{Exchange, Session, StopBytes, bad_setting, device, lock};
+use crate::session::{Exchange, Session, StopBytes, bad_setting, device, lock, refused};
 use crate::turret::{Part, Turns, Turret};
 use scopeservo_scope::{
     Axis, Kinematics, Motion, PositiveZ, ScopeError, Stage, StageInfo, StagePose,
@@ -140,7 +140,8 @@ impl Talk {
                 return Err(e);
             }
             let owed = ex.take_owed();
-            if let Some(answer) = self.answer(ex, owed, number)? {
+            let no = |why| of_command(command, why);
+            if let Some(answer) = self.answer(ex, owed, number, &no)? {
                 return Ok(answer);
             }
         }
@@ -148,11 +149,13 @@ impl Talk {
     }
 
     /// Reads until the board is done with `owed` stops and the line with `number`. `None`: the line arrived damaged.
+    /// `no` is what it means that the board will not carry it out.
     fn answer(
         &self,
         ex: &mut Exchange<'_>,
         mut owed: u32,
         number: Option<u32>,
+        no: &dyn Fn(String) -> ScopeError,
     ) -> Result<Option<Answer>, ScopeError> {
         let give_up = Instant::now() + self.busy_timeout;
         let mut deadline = ex.deadline();
@@ -166,7 +169,7 @@ impl Talk {
                     return match refused {
                         _ if damaged => Ok(None),
                         None => Ok(Some(answer)),
-                        Some(why) => Err(device(why)),
+                        Some(why) => Err(no(why)),
                     };
                 }
                 Line::Busy => deadline = ex.deadline(),
@@ -196,6 +199,18 @@ impl Talk {
             return Ok(true);
         }
         Err(ex.nonsense(format!("the board wants line {wanted} again")))
+    }
+}
+
+/// What a board says of a line that it read and will not carry out: of a move it is a refusal, of anything else a board that cannot do
+/// what it must.
+fn of_command(command: &Command<'_>, why: String) -> ScopeError {
+    match command {
+        Command::Move { .. } if codec::wants_homing(&why) => {
+            ScopeError::NotHomed { device: "stage" }
+        }
+        Command::Move { .. } => refused(why),
+        _ => device(why),
     }
 }
 
@@ -408,13 +423,13 @@ impl GcodeStage {
                 Line::Resend(wanted) => {
                     self.talk.wanted(ex, wanted, number)?;
                     // It did not begin. The "ok" that follows belongs to this.
-                    self.talk.answer(ex, owed, None)?;
+                    self.talk.answer(ex, owed, None, &device)?;
                     self.talk.take_back();
                     *lock(&self.doing) = Doing::Stopped;
                     return Err(device("the command to home arrived damaged; nothing moved"));
                 }
                 Line::Refused(why) => {
-                    self.talk.answer(ex, owed, None)?;
+                    self.talk.answer(ex, owed, None, &device)?;
                     *lock(&self.doing) = Doing::Stopped;
                     return Err(device(why));
                 }
@@ -486,25 +501,12 @@ impl GcodeStage {
 
     /// The motors asked for and their places in the board's units, inside the travel.
     fn targets(&self, to: &StagePose) -> Result<Vec<(usize, f64)>, ScopeError> {
+        self.info.check_goal(to)?;
         let mut targets = Vec::new();
         for axis in Axis::ALL {
             let Some(asked) = to.si(axis) else { continue };
-            let none = ScopeError::NoSuchAxis { axis };
             let set = self.motors.iter().position(|m| m.axis == Some(axis));
-            let (Some(set), Some(range)) = (set, self.info.axis(axis)) else {
-                return Err(none);
-            };
-            if !asked.is_finite() {
-                return Err(ScopeError::NotFinite { axis });
-            }
-            if asked < range.min || asked > range.max {
-                return Err(ScopeError::OutsideLimits {
-                    axis,
-                    asked: axis.to_display(asked),
-                    min: axis.to_display(range.min),
-                    max: axis.to_display(range.max),
-                });
-            }
+            let set = set.ok_or(ScopeError::NoSuchAxis { axis })?;
             targets.push((set, asked * 1e3));
         }
         Ok(targets)
@@ -746,7 +748,7 @@ fn wait_for_start(ex: &mut Exchange<'_>, boot: Duration) -> Result<(), ScopeErro
 fn settle_owed(talk: &Talk, ex: &mut Exchange<'_>) -> Result<(), ScopeError> {
     match ex.take_owed_now() {
         0 => Ok(()),
-        owed => talk.answer(ex, owed - 1, None).map(|_| ()),
+        owed => talk.answer(ex, owed - 1, None, &device).map(|_| ()),
     }
 }
 

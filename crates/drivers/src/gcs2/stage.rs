@@ -3,7 +3,7 @@
 use crate::gcs2::codec::{self, AxisName, CodecError, Command};
 use crate::gcs2::settings::{AxisPlan, Gcs2Nosepiece, Gcs2Settings};
 use crate::link::Transport;
-use crate::session::{Exchange, Session, StopBytes, bad_setting, device, lock};
+use crate::session::{Exchange, Session, StopBytes, bad_setting, device, lock, refused};
 use crate::turret::{Part, Turns, Turret};
 use scopeservo_scope::{Axis, AxisInfo, Length, Motion, ScopeError, Stage, StageInfo, StagePose};
 use std::sync::{Arc, Mutex};
@@ -14,6 +14,13 @@ const STOP_POLL: Duration = Duration::from_millis(2);
 
 /// A controller that was told to stop reports this.
 const STOPPED_BY_COMMAND: i32 = 10;
+
+/// So does one whose axes do not know where they are.
+const NOT_REFERENCED: i32 = 5;
+
+/// What it reports of a command that it could read and will not carry out: a place out of reach, a velocity, a pivot, a number out of
+/// range.
+const REFUSALS: [i32; 4] = [7, 8, 9, 17];
 
 /// What the driver has asked of the stage.
 #[derive(Debug, Clone, PartialEq)]
@@ -346,7 +353,7 @@ impl Gcs2Stage {
                 *lock(&self.doing) = Doing::Stopped;
                 return match number {
                     STOPPED_BY_COMMAND => Ok(Motion::Stopped),
-                    other => Err(refusal(other)),
+                    other => Err(device(codec::error_in_words(other))),
                 };
             }
         }
@@ -390,25 +397,11 @@ impl Gcs2Stage {
 
     /// The request in the controller's names and units, inside the travel.
     fn targets(&self, to: &StagePose) -> Result<Vec<Goal>, ScopeError> {
+        self.info.check_goal(to)?;
         let mut targets = Vec::new();
         for axis in Axis::ALL {
             let Some(asked) = to.si(axis) else { continue };
             let plan = self.plan(axis)?;
-            if !asked.is_finite() {
-                return Err(ScopeError::NotFinite { axis });
-            }
-            let range = self
-                .info
-                .axis(axis)
-                .ok_or(ScopeError::NoSuchAxis { axis })?;
-            if asked < range.min || asked > range.max {
-                return Err(ScopeError::OutsideLimits {
-                    axis,
-                    asked: axis.to_display(asked),
-                    min: axis.to_display(range.min),
-                    max: axis.to_display(range.max),
-                });
-            }
             targets.push(Goal {
                 name: plan.name.clone(),
                 to: plan.wire(asked),
@@ -435,7 +428,7 @@ impl Gcs2Stage {
         if self.coupled && part == Part::Stage {
             let lines = ask(&mut ex, &Command::CanReach(&targets))?;
             if !read(&ex, codec::decode_reachable(&lines))? {
-                return Err(device(
+                return Err(refused(
                     "the pose cannot be reached: what one axis can do depends on the others; nothing moved. \
                      Move nearer to the middle of the travel",
                 ));
@@ -519,7 +512,7 @@ impl Stage for Gcs2Stage {
         self.mark_stopped();
         match number {
             0 | STOPPED_BY_COMMAND => Ok(()),
-            other => Err(refusal(other)),
+            other => Err(device(codec::error_in_words(other))),
         }
     }
 
@@ -621,10 +614,13 @@ fn positive(velocity: f64) -> Result<(), ScopeError> {
     }
 }
 
-/// What an error number of the controller means for the caller.
+/// What an error number of the controller in answer to a command means for the caller: the command was refused, was stopped, or was
+/// none, which is a fault of ours.
 fn refusal(number: i32) -> ScopeError {
     match number {
         STOPPED_BY_COMMAND => ScopeError::Interrupted { at: None },
+        NOT_REFERENCED => not_homed(),
+        number if REFUSALS.contains(&number) => refused(codec::error_in_words(number)),
         other => device(codec::error_in_words(other)),
     }
 }

@@ -120,25 +120,13 @@ impl SangaStage {
 
     /// The steps to be at, or `None` for a motor that is to stay.
     fn targets(&self, to: &StagePose) -> Result<[Option<i64>; 3], ScopeError> {
+        self.info.check_goal(to)?;
         let mut targets = [None; 3];
         for axis in Axis::ALL {
             let Some(asked) = to.si(axis) else { continue };
             let motor = self.motors.iter().position(|(a, _)| *a == axis);
             let motor = motor.and_then(|at| Some((at, self.motors[at].1.as_ref()?)));
-            let (Some((at, motor)), Some(range)) = (motor, self.info.axis(axis)) else {
-                return Err(ScopeError::NoSuchAxis { axis });
-            };
-            if !asked.is_finite() {
-                return Err(ScopeError::NotFinite { axis });
-            }
-            if asked < range.min || asked > range.max {
-                return Err(ScopeError::OutsideLimits {
-                    axis,
-                    asked: axis.to_display(asked),
-                    min: axis.to_display(range.min),
-                    max: axis.to_display(range.max),
-                });
-            }
+            let (at, motor) = motor.ok_or(ScopeError::NoSuchAxis { axis })?;
             targets[at] = Some(motor.steps(asked));
         }
         Ok(targets)

@@ -58,6 +58,14 @@ pub fn detail(error: ScopeError) -> String {
     }
 }
 
+/// Of a refusal: nothing moved, and there is nothing to stop.
+pub fn refusal(error: ScopeError) -> String {
+    match error {
+        ScopeError::Refused { detail, .. } => detail,
+        other => panic!("{other:?}"),
+    }
+}
+
 pub fn is_device(error: &ScopeError) -> bool {
     matches!(error, ScopeError::Device { .. })
 }
