@@ -175,6 +175,7 @@ pub(crate) struct DriverCheckArgs {
 
 #[cfg(test)]
 mod tests {
+    use super::twin::parse_pair;
     use super::*;
     use clap::CommandFactory;
 

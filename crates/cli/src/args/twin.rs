@@ -129,7 +129,7 @@ fn parse_speed(text: &str) -> Result<f64, String> {
     speed.ok_or_else(|| "a number from 1 to 1000".into())
 }
 
-fn parse_pair(text: &str) -> Result<[f64; 2], String> {
+pub(super) fn parse_pair(text: &str) -> Result<[f64; 2], String> {
     let number = |s: &str| {
         s.trim()
             .parse::<f64>()
