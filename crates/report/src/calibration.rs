@@ -1,10 +1,10 @@
 //! What was calibrated, how well, and against the truth where it is known.
 
-use crate::TrueCalibration;
-use crate::page::Report;
-use crate::story::Calibrating;
+use crate::model::Report;
+use crate::model::TrueCalibration;
 use crate::svg::{Canvas, Mark, Panel, Scale, WIDTH};
 use crate::text::{count, escape, fixed, group};
+use crate::timeline::Calibrating;
 use scopeservo_servo::Calibration;
 use std::fmt::Write as _;
 
@@ -21,7 +21,7 @@ struct Quantity {
 }
 
 pub(crate) fn section(r: &Report<'_>) -> String {
-    if r.story.calibrations.is_empty() {
+    if r.timeline.calibrations.is_empty() {
         return "<p class=\"none\">The run did not come to a calibration.</p>\n".into();
     }
     let mut out = String::from(
@@ -29,7 +29,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
          <i>k</i> and φ read the map as in the paper's Eq. (1) and (3); η is where the stage's axis of rotation lies from the \
          picture's middle. After ± one standard deviation.</p>\n<div class=\"cards\">\n",
     );
-    for c in &r.story.calibrations {
+    for c in &r.timeline.calibrations {
         out.push_str(&card(r, c));
     }
     out.push_str("</div>\n");

@@ -1,14 +1,14 @@
 //! The focus sweeps.
 
-use crate::page::Report;
-use crate::story::Sweep;
+use crate::model::Report;
 use crate::svg::{Attr, Canvas, Mark, Panel, Scale};
 use crate::text::{count, escape, fixed};
+use crate::timeline::Sweep;
 use std::fmt::Write as _;
 
 pub(crate) fn section(r: &Report<'_>) -> String {
     let swept: Vec<_> = r
-        .story
+        .timeline
         .sweeps
         .iter()
         .filter(|s| !s.samples.is_empty())

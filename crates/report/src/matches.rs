@@ -1,6 +1,6 @@
 //! The places that view and target share, drawn: why the program believes what it sees.
 
-use crate::page::{Report, view_name};
+use crate::model::{Report, view_name};
 use crate::svg::Attr;
 use crate::text::{count, escape, fixed};
 use std::fmt::Write as _;
@@ -12,7 +12,7 @@ const GAP: f64 = 0.03;
 
 pub(crate) fn section(r: &Report<'_>) -> String {
     let mut out = String::new();
-    for m in &r.story.magnifications {
+    for m in &r.timeline.magnifications {
         let Some(first) = m.iterations.first() else {
             continue;
         };
@@ -31,7 +31,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
         };
         let objective = escape(&m.objective.0);
         let goal = r
-            .story
+            .timeline
             .target_objective
             .map_or(String::new(), |o| escape(&o.0));
         let _ = writeln!(

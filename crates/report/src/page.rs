@@ -1,56 +1,24 @@
 //! The page as a whole.
 
+use crate::model::{Report, verdict_word, view_name};
 use crate::picture::Gallery;
 use crate::recorder::SHOWN_ITERATIONS;
-use crate::story::Story;
 use crate::text::escape;
+use crate::timeline::Timeline;
 use crate::{Context, Recorder, Truth};
-use crate::{answer, calibration, focus, making, matches, views};
-use scopeservo_servo::Verdict;
+use crate::{calibration, focus, matches, provenance, summary, views};
 use std::fmt::Write as _;
 
 const STYLE: &str = include_str!("style.css");
-
-/// All that the parts of the page read.
-pub(crate) struct Report<'a> {
-    pub(crate) story: Story<'a>,
-    pub(crate) gallery: Gallery,
-    pub(crate) truth: Option<&'a Truth>,
-    pub(crate) context: &'a Context,
-}
-
-impl Report<'_> {
-    /// Columns and rows of the target, as good as known: its picture's, else those of its calibration.
-    pub(crate) fn target_size(&self) -> Option<[f64; 2]> {
-        let picture = self.gallery.size("target").map(|(w, h)| [w, h]);
-        picture.or_else(|| {
-            let calibration = self.story.target_calibration()?;
-            Some(calibration.image_size_px.map(|v| v as f64))
-        })
-    }
-
-    /// What the simulation knows of a frame.
-    pub(crate) fn true_at(&self, sequence: u64) -> Option<&crate::TrueIteration> {
-        self.truth?
-            .iterations
-            .iter()
-            .find(|t| t.sequence == sequence)
-    }
-}
-
-/// The name of a view in the gallery.
-pub(crate) fn view_name(sequence: u64) -> String {
-    format!("view{sequence}")
-}
 
 /// The whole page.
 ///
 /// `truth` is what a simulation knows and a microscope does not; without it the page says how the error was estimated.
 pub fn html(recorder: &Recorder, truth: Option<&Truth>, context: &Context) -> String {
-    let story = Story::read(recorder.events());
-    let gallery = gallery(recorder, &story);
+    let timeline = Timeline::read(recorder.events());
+    let gallery = gallery(recorder, &timeline);
     let report = Report {
-        story,
+        timeline,
         gallery,
         truth,
         context,
@@ -65,17 +33,17 @@ pub fn html(recorder: &Recorder, truth: Option<&Truth>, context: &Context) -> St
          <meta name=\"color-scheme\" content=\"light dark\"/>\n\
          <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'\"/>\n\
          <title>{}: {}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n",
-        escape(verdict_word(&report.story)),
+        escape(verdict_word(&report.timeline)),
         escape(title)
     );
-    out.push_str(&answer::section(&report, title));
+    out.push_str(&summary::section(&report, title));
     let parts = [
         ("The way there", views::section(&report)),
         ("What was recognised", matches::section(&report)),
         ("Focus", focus::section(&report)),
         ("Calibration", calibration::section(&report)),
-        ("Where the time went", making::time(&report)),
-        ("How this was made", making::section(&report)),
+        ("Where the time went", provenance::time(&report)),
+        ("How this was made", provenance::section(&report)),
     ];
     for (i, (heading, body)) in parts.iter().enumerate() {
         let _ = write!(
@@ -89,24 +57,13 @@ pub fn html(recorder: &Recorder, truth: Option<&Truth>, context: &Context) -> St
     out
 }
 
-/// The answer in a word or two.
-pub(crate) fn verdict_word(story: &Story<'_>) -> &'static str {
-    match story.outcome.map(|o| o.verdict) {
-        Some(Verdict::Arrived) => "Arrived",
-        Some(Verdict::NotFound) => "Not found",
-        Some(Verdict::Refused) => "Refused",
-        Some(Verdict::Ambiguous) => "Ambiguous",
-        None => "Unfinished",
-    }
-}
-
 /// The pictures that the page shows.
-fn gallery(recorder: &Recorder, story: &Story<'_>) -> Gallery {
+fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
     let mut gallery = Gallery::default();
     if let Some(jpeg) = recorder.target().and_then(|t| t.jpeg()) {
         gallery.add("target", jpeg);
     }
-    for magnification in &story.magnifications {
+    for magnification in &timeline.magnifications {
         let frames = magnification.frames();
         let last = frames.last().map(|f| f.1);
         for (iteration, sequence) in frames {
@@ -117,15 +74,16 @@ fn gallery(recorder: &Recorder, story: &Story<'_>) -> Gallery {
             }
         }
     }
-    let same_objective = story.magnifications.last().map(|m| m.objective) == story.target_objective;
+    let same_objective =
+        timeline.magnifications.last().map(|m| m.objective) == timeline.target_objective;
     if let (true, Some(target), Some((_, view))) =
         (same_objective, recorder.target(), recorder.last_view())
         && let Some(jpeg) = target.blend(view).and_then(|b| b.jpeg())
     {
         gallery.add("blend", jpeg);
     }
-    if story.magnifications.is_empty() {
-        let unfocused = story.sweeps.last().is_some_and(|s| s.result.is_none());
+    if timeline.magnifications.is_empty() {
+        let unfocused = timeline.sweeps.last().is_some_and(|s| s.result.is_none());
         let (name, picture) = if unfocused {
             ("sharpest", recorder.sharpest())
         } else {

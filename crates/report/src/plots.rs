@@ -1,9 +1,9 @@
 //! Error, velocity, convergence and path at one magnification.
 
-use crate::page::{Report, view_name};
-use crate::story::Magnification;
+use crate::model::{Report, view_name};
 use crate::svg::{Canvas, Key, Mark, Panel, Scale, WIDTH};
 use crate::text::{deg, fixed, um};
+use crate::timeline::Magnification;
 use scopeservo_servo::PoseError;
 
 const XY: [Key; 2] = [
@@ -76,11 +76,11 @@ fn motion(
     m: &Magnification<'_>,
     name: &str,
     per: &str,
-    of: impl Fn(&crate::story::Iteration<'_>) -> PoseError,
+    of: impl Fn(&crate::timeline::Iteration<'_>) -> PoseError,
 ) -> String {
     let curve = |f: &dyn Fn(&PoseError) -> f64| -> Vec<[f64; 2]> {
         let point = |i| {
-            let i: &crate::story::Iteration<'_> = i;
+            let i: &crate::timeline::Iteration<'_> = i;
             [i.iteration as f64, f(&of(i))]
         };
         m.iterations.iter().map(point).collect()
@@ -215,7 +215,7 @@ fn readable_log(values: impl Iterator<Item = f64>) -> Scale {
 fn limits(r: &Report<'_>, m: &Magnification<'_>) -> Option<[f64; 2]> {
     let test = r.context.convergence?;
     let pixel = m.calibration?.um_per_px();
-    let coarseness = (pixel / r.story.target_calibration()?.um_per_px()).max(1.0);
+    let coarseness = (pixel / r.timeline.target_calibration()?.um_per_px()).max(1.0);
     let limits = [test.position_px * pixel, test.angle_deg * coarseness];
     limits
         .iter()
@@ -247,7 +247,7 @@ fn path(r: &Report<'_>, m: &Magnification<'_>) -> Option<(String, String)> {
     let way: Vec<[f64; 2]> = m
         .iterations
         .iter()
-        .filter_map(|i| r.story.offset_um(i, size, target))
+        .filter_map(|i| r.timeline.offset_um(i, size, target))
         .collect();
     let (first, last) = (*way.first()?, *way.last()?);
     let truth: Vec<[f64; 2]> = m

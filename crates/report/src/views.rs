@@ -1,22 +1,22 @@
 //! The paper's Fig. 7: per magnification the views on the way, the target, and the curves.
 
-use crate::page::{Report, view_name};
+use crate::model::{Report, view_name};
 use crate::picture::aim;
 use crate::plots;
 use crate::recorder::SHOWN_ITERATIONS;
-use crate::story::{Magnification, outline};
 use crate::text::{count, deg, escape, fixed, um};
+use crate::timeline::{Magnification, outline};
 use std::fmt::Write as _;
 
 pub(crate) fn section(r: &Report<'_>) -> String {
-    if r.story.magnifications.is_empty() {
+    if r.timeline.magnifications.is_empty() {
         return "<p class=\"none\">The run ended before the stage was servoed, so there is no way to show.</p>\n".into();
     }
     let mut out = String::from(
         "<p class=\"lead\">At each magnification the stage takes away a fixed share of the measured error in every iteration. \
          The dashed frame is the saved view as recognised in the present one; the cross is the middle of the picture.</p>\n",
     );
-    for m in &r.story.magnifications {
+    for m in &r.timeline.magnifications {
         let _ = write!(
             out,
             "<article>\n<h3>{}</h3>\n<p>{}</p>\n",
@@ -103,7 +103,7 @@ fn pictures(r: &Report<'_>, m: &Magnification<'_>) -> String {
             .figure("target", "The saved view", &aim(w, h, None))
     });
     if let Some(svg) = goal {
-        let objective = r.story.target_objective.map_or("", |o| &o.0);
+        let objective = r.timeline.target_objective.map_or("", |o| &o.0);
         let _ = writeln!(
             out,
             "<figure class=\"goal\">{svg}<figcaption>saved view {}</figcaption></figure>",

@@ -1,4 +1,4 @@
-//! A list of events read as a story: legs, sweeps, calibrations, magnifications, the end.
+//! A list of events read as a timeline: legs, sweeps, calibrations, magnifications, the end.
 
 use scopeservo_geometry::{Affine2, Vec2};
 use scopeservo_scope::ObjectiveId;
@@ -77,7 +77,7 @@ pub(crate) struct Span<'a> {
 
 /// The whole run.
 #[derive(Default)]
-pub(crate) struct Story<'a> {
+pub(crate) struct Timeline<'a> {
     pub(crate) engine: Option<(&'a str, &'a str)>,
     pub(crate) target_objective: Option<&'a ObjectiveId>,
     pub(crate) spans: Vec<Span<'a>>,
@@ -89,11 +89,11 @@ pub(crate) struct Story<'a> {
     pub(crate) duration_s: f64,
 }
 
-impl<'a> Story<'a> {
+impl<'a> Timeline<'a> {
     pub(crate) fn read(events: &'a [Stamped]) -> Self {
-        let mut story = Self::default();
+        let mut timeline = Self::default();
         for stamped in events {
-            story.take(stamped);
+            timeline.take(stamped);
         }
         let start = events.iter().find(
             |e| !matches!(&e.event, Event::FrameGrabbed { role, .. } if *role == FrameRole::Target),
@@ -102,15 +102,15 @@ impl<'a> Story<'a> {
             start.map_or(0.0, |e| e.time_s),
             events.last().map_or(0.0, |e| e.time_s),
         );
-        if let Some(span) = story.spans.last_mut() {
+        if let Some(span) = timeline.spans.last_mut() {
             span.to_s = to;
         }
-        for span in &mut story.spans {
+        for span in &mut timeline.spans {
             span.from_s -= from;
             span.to_s -= from;
         }
-        story.duration_s = (to - from).max(0.0);
-        story
+        timeline.duration_s = (to - from).max(0.0);
+        timeline
     }
 
     fn take(&mut self, stamped: &'a Stamped) {
@@ -237,7 +237,7 @@ impl<'a> Story<'a> {
         }
     }
 
-    /// The sweep under way; a story whose beginning is missing opens one.
+    /// The sweep under way; a timeline whose beginning is missing opens one.
     fn sweep(&mut self, objective: Option<&'a ObjectiveId>) -> &mut Sweep<'a> {
         if self.sweeps.last().is_none_or(|s| s.result.is_some()) {
             self.sweeps.push(Sweep {
@@ -249,7 +249,7 @@ impl<'a> Story<'a> {
         self.sweeps.last_mut().expect("one was just opened")
     }
 
-    /// The magnification under way; a story whose beginning is missing opens one.
+    /// The magnification under way; a timeline whose beginning is missing opens one.
     fn magnification(&mut self, objective: &'a ObjectiveId) -> &mut Magnification<'a> {
         if self
             .magnifications

@@ -1,6 +1,6 @@
 //! Where the time went, and how the run was made.
 
-use crate::page::Report;
+use crate::model::Report;
 use crate::text::{escape, fixed, seconds};
 use scopeservo_servo::Phase;
 use std::fmt::Write as _;
@@ -14,8 +14,8 @@ const PHASES: [(Phase, &str, &str); 5] = [
 ];
 
 pub(crate) fn time(r: &Report<'_>) -> String {
-    let total = r.story.duration_s;
-    if r.story.spans.is_empty() || total <= 0.0 {
+    let total = r.timeline.duration_s;
+    if r.timeline.spans.is_empty() || total <= 0.0 {
         return "<p class=\"none\">No part of the run took any time on the instrument's clock.</p>\n".into();
     }
     let mut out = format!(
@@ -31,9 +31,9 @@ pub(crate) fn time(r: &Report<'_>) -> String {
         let _ = write!(out, "; the program ran for {}", seconds(wall));
     }
     out.push_str(".</p>\n<div class=\"gantt\" role=\"img\" aria-label=\"Parts of the run over time, one line per objective\">\n");
-    let legs = r.story.spans.last().map_or(0, |s| s.leg + 1);
+    let legs = r.timeline.spans.last().map_or(0, |s| s.leg + 1);
     for leg in 0..legs {
-        let mine = || r.story.spans.iter().filter(move |s| s.leg == leg);
+        let mine = || r.timeline.spans.iter().filter(move |s| s.leg == leg);
         let Some(first) = mine().next() else {
             continue;
         };
@@ -59,7 +59,7 @@ pub(crate) fn time(r: &Report<'_>) -> String {
     out.push_str("</div>\n<ul class=\"keys\">\n");
     for (phase, class, name) in PHASES {
         let sum: f64 = r
-            .story
+            .timeline
             .spans
             .iter()
             .filter(|s| s.phase == phase)
@@ -107,7 +107,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
         true,
     );
     add("Version", &c.version, false);
-    if let Some((engine, level)) = r.story.engine {
+    if let Some((engine, level)) = r.timeline.engine {
         add("Features", &format!("{engine}, {level}"), false);
     }
     add("Credit", c.credit.as_deref().unwrap_or(""), false);

@@ -1,15 +1,15 @@
 //! The top of the page: did it arrive, how far off, how is that known.
 
-use crate::page::{Report, verdict_word, view_name};
+use crate::model::{Report, verdict_word, view_name};
 use crate::picture::aim;
-use crate::story::outline;
 use crate::svg::{Attr, Canvas, Key, Mark, Panel, Scale, nice_step};
 use crate::text::{deg, escape, fixed, seconds, short, um};
+use crate::timeline::outline;
 use scopeservo_servo::Verdict;
 use std::fmt::Write as _;
 
 pub(crate) fn section(r: &Report<'_>, title: &str) -> String {
-    let outcome = r.story.outcome;
+    let outcome = r.timeline.outcome;
     let (class, icon) = match outcome.map(|o| o.verdict) {
         Some(Verdict::Arrived) => ("arrived", "M9 20.5l7 7L31 12.5"),
         Some(Verdict::NotFound) => (
@@ -38,7 +38,7 @@ pub(crate) fn section(r: &Report<'_>, title: &str) -> String {
          <svg class=\"icon\" viewBox=\"0 0 40 40\" aria-hidden=\"true\"><circle cx=\"20\" cy=\"20\" r=\"19\"/><path d=\"{icon}\"/></svg>\
          <h1>{}</h1></div>\n<p class=\"message\">{}</p>\n",
         escape(title),
-        verdict_word(&r.story),
+        verdict_word(&r.timeline),
         escape(&message),
     );
     if !about.is_empty() {
@@ -84,7 +84,7 @@ fn numbers(r: &Report<'_>) -> String {
             escape(&value)
         );
     };
-    if let Some(outcome) = r.story.outcome {
+    if let Some(outcome) = r.timeline.outcome {
         if let Some(v) = outcome.estimated_error_um {
             add(&mut first, "off, as measured", um(v), "big");
         }
@@ -101,11 +101,11 @@ fn numbers(r: &Report<'_>) -> String {
             "big true",
         );
     }
-    let iterations = r.story.iterations();
+    let iterations = r.timeline.iterations();
     if iterations > 0 {
         add(&mut second, "iterations", iterations.to_string(), "");
         let moves = r
-            .story
+            .timeline
             .magnifications
             .iter()
             .flat_map(|m| &m.iterations)
@@ -113,14 +113,14 @@ fn numbers(r: &Report<'_>) -> String {
             .count();
         add(&mut second, "corrections", moves.to_string(), "");
     }
-    if r.story.frames > 0 {
-        add(&mut second, "frames", r.story.frames.to_string(), "");
+    if r.timeline.frames > 0 {
+        add(&mut second, "frames", r.timeline.frames.to_string(), "");
     }
-    if r.story.duration_s > 0.0 {
+    if r.timeline.duration_s > 0.0 {
         add(
             &mut second,
             "instrument time",
-            seconds(r.story.duration_s),
+            seconds(r.timeline.duration_s),
             "",
         );
     }
@@ -133,10 +133,10 @@ fn numbers(r: &Report<'_>) -> String {
 
 fn known(r: &Report<'_>) -> String {
     let mut out = String::new();
-    let last = r.story.outcome.and_then(|o| o.magnifications.last());
+    let last = r.timeline.outcome.and_then(|o| o.magnifications.last());
     let result = last.and_then(|m| m.end.result());
     if let (Some(m), Some(e)) = (last, result) {
-        let frames = r.story.magnifications.last().map_or(0, |m| {
+        let frames = r.timeline.magnifications.last().map_or(0, |m| {
             m.iterations
                 .iter()
                 .rev()
@@ -158,7 +158,10 @@ fn known(r: &Report<'_>) -> String {
             um(e.sigma_um)
         );
     }
-    match (r.truth, r.story.outcome.and_then(|o| o.estimated_error_um)) {
+    match (
+        r.truth,
+        r.timeline.outcome.and_then(|o| o.estimated_error_um),
+    ) {
         (Some(t), Some(estimate)) if t.error_um.is_finite() => {
             let _ = write!(
                 out,
@@ -187,7 +190,7 @@ fn known(r: &Report<'_>) -> String {
 /// The last view beside the target: what a person would look at to believe it.
 fn comparison(r: &Report<'_>) -> String {
     let last = r
-        .story
+        .timeline
         .magnifications
         .last()
         .and_then(|m| Some((m, *m.frames().last()?)));
@@ -267,7 +270,7 @@ fn comparison(r: &Report<'_>) -> String {
 fn target_alone(r: &Report<'_>) -> Option<String> {
     let target = r.gallery.figure("target", "The saved view", "")?;
     let objective = r
-        .story
+        .timeline
         .target_objective
         .map_or(String::new(), |o| format!(", {}", escape(&o.0)));
     Some(format!(
@@ -277,12 +280,12 @@ fn target_alone(r: &Report<'_>) -> Option<String> {
 
 /// Where the view's centre ended around the target's, against one pixel.
 fn bullseye(r: &Report<'_>) -> Option<String> {
-    r.story.outcome?.estimated_error_um?;
-    let step = r.story.last_seen()?;
+    r.timeline.outcome?.estimated_error_um?;
+    let step = r.timeline.last_seen()?;
     let target = r.target_size()?;
     let (w, h) = r.gallery.size(&view_name(step.sequence))?;
-    let [x, y] = r.story.offset_um(step, [w, h], target)?;
-    let pixel_um = r.story.target_calibration()?.um_per_px();
+    let [x, y] = r.timeline.offset_um(step, [w, h], target)?;
+    let pixel_um = r.timeline.target_calibration()?.um_per_px();
     let sigma_um = step.sigma_px * pixel_um;
     let truth = r.true_at(step.sequence).map(|t| [t.x_um, t.y_um]);
     let reach = [
