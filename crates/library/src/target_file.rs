@@ -234,7 +234,7 @@ fn taken(
         return Err("its picture has another depth".into());
     }
     Ok(Taken {
-        frame: Frame {
+        frame: Arc::new(Frame {
             width: width as usize,
             height: height as usize,
             channels,
@@ -243,7 +243,7 @@ fn taken(
             sequence: how.sequence,
             exposure_start: Timestamp::from_start(seconds(how.exposure_start_s)?),
             exposure: seconds(how.exposure_s)?,
-        },
+        }),
         flat_field: flat_field.map(Arc::new),
         um_per_px: how.um_per_px,
         calibration: how.calibration,
@@ -357,7 +357,7 @@ mod tests {
             flat_field: Some(Arc::new(
                 FlatField::new(40, 30, (0..1200).map(shadows).collect()).unwrap(),
             )),
-            frame,
+            frame: Arc::new(frame),
             um_per_px: 0.25,
             calibration: None,
             stage: StagePose::default(),

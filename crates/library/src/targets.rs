@@ -241,7 +241,7 @@ impl Targets for Folder {
         let kept = read_target(from)?;
         let (bytes, id) = target_file::encode(&kept)?;
         let taken = kept.target.taken.clone();
-        self.keep(name, &bytes, taken.as_deref().map(|t| &t.frame))?;
+        self.keep(name, &bytes, taken.as_deref().map(|t| &*t.frame))?;
         Ok(KeptTarget { id, ..kept })
     }
 }

@@ -2,8 +2,8 @@
 
 use crate::judge::{Judge, at_most};
 use crate::{
-    Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, ErrorKind, Motion, Nosepiece, Objective,
-    ObjectiveId, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose,
+    Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, ErrorKind, GateEvent, Motion, Nosepiece,
+    Objective, ObjectiveId, Observer, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose,
 };
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard};
@@ -48,6 +48,10 @@ pub struct MotionGate {
     stops: AtomicU64,
     /// Once cancelled, nothing begins any more.
     cancel: CancelToken,
+    /// That of the work under way: once cancelled, nothing of it begins any more.
+    job: Mutex<Option<CancelToken>>,
+    /// Is told of every command.
+    observer: Mutex<Option<Observer>>,
 }
 
 impl MotionGate {
@@ -76,12 +80,42 @@ impl MotionGate {
             way: Mutex::new(None),
             stops: AtomicU64::new(0),
             cancel: CancelToken::new(),
+            job: Mutex::new(None),
+            observer: Mutex::new(None),
         })
     }
 
     /// From now on nothing begins after `cancel` was cancelled.
     pub(crate) fn obey(&mut self, cancel: CancelToken) {
         self.cancel = cancel;
+    }
+
+    /// The token that ends everything.
+    pub(crate) fn own_token(&self) -> &CancelToken {
+        &self.cancel
+    }
+
+    pub(crate) fn job_mut(&self) -> MutexGuard<'_, Option<CancelToken>> {
+        self.job.lock().unwrap_or_else(|e| e.into_inner())
+    }
+
+    /// Whether a stop was asked for, of everything or of the work under way.
+    pub(crate) fn is_cancelled(&self) -> bool {
+        let job = || self.job_mut().as_ref().is_some_and(|j| j.is_cancelled());
+        self.cancel.is_cancelled() || job()
+    }
+
+    /// From now on `observer` is told of every command; nobody with `None`. See [`Observer`] for what it may do.
+    pub fn observe(&self, observer: Option<Observer>) {
+        *self.observer.lock().unwrap_or_else(|e| e.into_inner()) = observer;
+    }
+
+    fn tell(&self, event: impl FnOnce() -> GateEvent) {
+        let observer = self.observer.lock();
+        let observer = observer.unwrap_or_else(|e| e.into_inner()).clone();
+        if let Some(observer) = observer {
+            observer(event());
+        }
     }
 
     /// What the stage is.
@@ -172,7 +206,7 @@ impl MotionGate {
     pub fn stop(&self) -> Result<(), ScopeError> {
         self.stops.fetch_add(1, Ordering::SeqCst);
         // Neither waits for the other: they may be on different boards, and one may be past hearing.
-        std::thread::scope(|s| {
+        let told = std::thread::scope(|s| {
             let nosepiece = s.spawn(|| self.nosepiece.stop());
             let stage = self.stage.stop();
             let nosepiece = nosepiece.join().unwrap_or_else(|_| {
@@ -182,7 +216,11 @@ impl MotionGate {
                 })
             });
             nosepiece.and(stage)
-        })
+        });
+        self.tell(|| GateEvent::Stopped {
+            fault: told.as_ref().err().map(ToString::to_string),
+        });
+        told
     }
 
     /// Whether the stage may go there from where it stands, with the objective that is in the beam: limits, workspace, zones. The way
@@ -224,6 +262,12 @@ impl MotionGate {
             // Why is the news.
             let _ = self.stop();
         }
+        self.tell(|| match &answer {
+            Ok(at) => GateEvent::Arrived { at: *at },
+            Err(why) => GateEvent::NotArrived {
+                why: why.to_string(),
+            },
+        });
         answer
     }
 
@@ -266,6 +310,18 @@ impl MotionGate {
     /// [`ScopeError::NotHomed`], [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report. Unless it is one of the stage's
     /// own faults, nothing moved.
     pub fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
+        let begun = self.begin_move(to);
+        self.tell(|| match &begun {
+            Ok(()) => GateEvent::MoveBegan { to: *to },
+            Err(why) => GateEvent::MoveRefused {
+                to: *to,
+                why: why.to_string(),
+            },
+        });
+        begun
+    }
+
+    fn begin_move(&self, to: &StagePose) -> Result<(), ScopeError> {
         self.info().check_axes(to)?;
         let _begin = self.begin();
         let stops = self.stops.load(Ordering::SeqCst);
@@ -308,6 +364,18 @@ impl MotionGate {
     /// objective that comes may not be, [`ScopeError::Busy`] while stage or nosepiece move,
     /// [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report.
     pub fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
+        let begun = self.begin_change(to);
+        self.tell(|| match &begun {
+            Ok(()) => GateEvent::ChangeBegan { to: to.clone() },
+            Err(why) => GateEvent::ChangeRefused {
+                to: to.clone(),
+                why: why.to_string(),
+            },
+        });
+        begun
+    }
+
+    fn begin_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
         self.objective(to)?;
         let _begin = self.begin();
         let stops = self.stops.load(Ordering::SeqCst);
@@ -379,7 +447,7 @@ impl MotionGate {
     }
 
     fn check_cancel(&self) -> Result<(), ScopeError> {
-        match self.cancel.is_cancelled() {
+        match self.is_cancelled() {
             true => Err(ScopeError::Interrupted { at: None }),
             false => Ok(()),
         }
@@ -420,7 +488,7 @@ impl MotionGate {
 
     /// A stop that came between the check and the beginning of a move may have found nothing to stop.
     fn stopped_meanwhile(&self, stops: u64) -> Result<(), ScopeError> {
-        if self.stops.load(Ordering::SeqCst) == stops && !self.cancel.is_cancelled() {
+        if self.stops.load(Ordering::SeqCst) == stops && !self.is_cancelled() {
             return Ok(());
         }
         self.stop()?;

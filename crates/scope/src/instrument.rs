@@ -1,13 +1,13 @@
 //! A whole microscope: what moves, behind its gate, camera and clock, with the waiting that every procedure needs.
 
 use crate::{
-    Absent, Axis, AxisInfo, Camera, ChangeRule, Clock, Devices, ErrorKind, FlatField, Frame,
-    Length, Light, Motion, MotionGate, Objective, ObjectiveId, Rules, ScopeError, StagePose,
-    stand_still,
+    Absent, Axis, AxisInfo, Camera, CancelToken, ChangeRule, Clock, Devices, ErrorKind, FlatField,
+    Frame, Length, Light, Motion, MotionGate, Obeying, Objective, ObjectiveId, Rules, ScopeError,
+    StagePose, stand_still,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -22,25 +22,6 @@ const MOVE_TIMEOUT: Duration = Duration::from_secs(120);
 const HOMING_TIMEOUT: Duration = Duration::from_secs(180);
 /// Nor an objective change, also by somebody who has to come from next door.
 const CHANGE_TIMEOUT: Duration = Duration::from_secs(1800);
-
-/// A wish to stop, shared between threads: Ctrl-C, a button, a watchdog.
-#[derive(Debug, Clone, Default)]
-pub struct CancelToken(Arc<AtomicBool>);
-
-impl CancelToken {
-    /// Not cancelled yet.
-    pub fn new() -> Self {
-        Self::default()
-    }
-    /// Asks for a stop. The running move is stopped and the procedure returns [`ScopeError::Interrupted`].
-    pub fn cancel(&self) {
-        self.0.store(true, Ordering::SeqCst);
-    }
-    /// Whether a stop was asked for.
-    pub fn is_cancelled(&self) -> bool {
-        self.0.load(Ordering::SeqCst)
-    }
-}
 
 /// What an instrument has done so far.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -59,7 +40,6 @@ pub struct Instrument {
     camera: Arc<dyn Camera>,
     light: Option<Box<dyn Light>>,
     clock: Arc<dyn Clock>,
-    cancel: CancelToken,
     /// Where each objective was last in focus.
     focus: Mutex<BTreeMap<ObjectiveId, Length>>,
     /// What lies on the camera, as far as it was seen.
@@ -106,13 +86,12 @@ impl Instrument {
             devices.nosepiece.unwrap_or_else(|| Box::new(none())),
             rules,
         )?;
-        gate.obey(cancel.clone());
+        gate.obey(cancel);
         Ok(Self {
             gate,
             camera: devices.camera.unwrap_or_else(|| Box::new(none())).into(),
             light: devices.light,
             clock: devices.clock,
-            cancel,
             focus: Mutex::new(BTreeMap::new()),
             flat_field: Mutex::new(None),
             began: Mutex::new(None),
@@ -129,6 +108,21 @@ impl Instrument {
     pub fn keeping(mut self, what: impl std::any::Any + Send + Sync) -> Self {
         self.kept.push(Box::new(what));
         self
+    }
+
+    /// A stop for one piece of work on this instrument: cancelling it leaves the instrument as it is for the next. Cancelling the
+    /// instrument's own token cancels it as well.
+    pub fn job_token(&self) -> CancelToken {
+        self.gate.own_token().child()
+    }
+
+    /// From now on nothing begins after `cancel` or the instrument's own token was cancelled, until the guard is dropped: then only
+    /// the instrument's own counts.
+    ///
+    /// # Errors
+    /// [`ScopeError::Busy`] while another piece of work is under way.
+    pub fn obey(&self, cancel: &CancelToken) -> Result<Obeying<'_>, ScopeError> {
+        Obeying::begin(&self.gate, cancel)
     }
 
     /// Stage and nosepiece, behind their rules.
@@ -282,7 +276,7 @@ impl Instrument {
     /// As [`Instrument::move_to`], and [`ScopeError::StillMoves`].
     pub fn withdraw(&self) -> Result<(), ScopeError> {
         let began = self.began_mut().and_then(|at| at.z);
-        let Some(began) = began.filter(|_| !self.cancel.is_cancelled()) else {
+        let Some(began) = began.filter(|_| !self.gate.is_cancelled()) else {
             return Ok(());
         };
         let here = self.stand_still()?.z.unwrap_or(began);
@@ -440,7 +434,7 @@ impl Instrument {
 
     /// An error when a stop was asked for.
     pub fn check_cancel(&self) -> Result<(), ScopeError> {
-        match self.cancel.is_cancelled() {
+        match self.gate.is_cancelled() {
             true => Err(self.stopped()),
             false => Ok(()),
         }
@@ -458,7 +452,7 @@ impl Instrument {
             match poll() {
                 Ok(Motion::Moving) => {}
                 // Stopped from the side that also asked for the stop: the next turn says so.
-                Ok(Motion::Stopped) if self.cancel.is_cancelled() => continue,
+                Ok(Motion::Stopped) if self.gate.is_cancelled() => continue,
                 Ok(ended) => return Ok(ended),
                 Err(fault) => {
                     // A device that cannot say what it does must not go on doing it; its own fault is the news.

@@ -12,6 +12,7 @@
 
 mod absent;
 mod camera;
+mod cancel;
 mod clock;
 pub mod conformance;
 mod devices;
@@ -22,6 +23,7 @@ mod instrument;
 mod judge;
 mod light;
 mod nosepiece;
+mod observe;
 mod rules;
 mod stage;
 mod still;
@@ -29,15 +31,17 @@ mod units;
 
 pub use absent::Absent;
 pub use camera::{Camera, CameraInfo, Channels, Frame, Samples};
+pub use cancel::{CancelToken, Obeying};
 pub use clock::{Clock, SystemClock, Timestamp, VirtualClock};
 pub use devices::Devices;
 pub use error::{ErrorKind, Remedy, ScopeError};
 pub use flat_field::FlatField;
 pub use gate::{AtWork, MotionGate};
-pub use instrument::{CancelToken, Counters, Instrument};
+pub use instrument::{Counters, Instrument};
 pub use judge::Breach;
 pub use light::{Light, check_level};
 pub use nosepiece::{Nosepiece, Objective, ObjectiveId};
+pub use observe::{GateEvent, Observer};
 pub use rules::{AxisRange, ChangeRule, LargestStep, Limits, Rules, Workspace, Zone};
 pub use stage::{Axis, AxisInfo, Kinematics, Motion, PositiveZ, Stage, StageInfo, StagePose};
 pub use still::stand_still;

@@ -3,9 +3,10 @@
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 use scopeservo_scope::{
-    Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, ErrorKind, Instrument, Kinematics,
-    LargestStep, Length, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ,
-    Rules, ScopeError, Stage, StageInfo, StagePose, Timestamp, VirtualClock, Workspace, Zone,
+    Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, ErrorKind, GateEvent, Instrument,
+    Kinematics, LargestStep, Length, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId,
+    PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose, Timestamp, VirtualClock, Workspace,
+    Zone,
 };
 use std::collections::BTreeMap;
 use std::sync::mpsc;
@@ -759,6 +760,59 @@ fn nothing_begins_after_a_cancel() {
         );
     }
     assert_eq!(devices.world().begun, begun);
+}
+
+#[test]
+fn a_piece_of_work_that_was_stopped_leaves_the_instrument_to_the_next() {
+    let devices = Devices::new();
+    let cancel = CancelToken::new();
+    let clock = Arc::new(Ticking {
+        clock: VirtualClock::new(),
+        devices: devices.clone(),
+    });
+    let scope = devices.instrument(rules(), clock, cancel.clone());
+    let told = Arc::new(std::sync::Mutex::new(Vec::new()));
+    let ear = told.clone();
+    scope
+        .gate()
+        .observe(Some(Arc::new(move |e| ear.lock().unwrap().push(e))));
+    let interrupted = |to: f64| {
+        let answer = scope.move_to(&z(to));
+        assert!(
+            matches!(answer, Err(ScopeError::Interrupted { at: Some(_) })),
+            "{answer:?}"
+        );
+    };
+    let first = scope.job_token();
+    let work = scope.obey(&first).unwrap();
+    scope.move_to(&z(-6e-3)).unwrap();
+    assert!(matches!(
+        scope.obey(&scope.job_token()).err(),
+        Some(ScopeError::Busy { .. })
+    ));
+    first.cancel();
+    interrupted(-5e-3);
+    drop(work);
+    let second = scope.job_token();
+    let work = scope.obey(&second).unwrap();
+    scope.move_to(&z(-5e-3)).unwrap();
+    cancel.cancel();
+    assert!(second.is_cancelled());
+    interrupted(-4e-3);
+    drop(work);
+    interrupted(-4e-3);
+    // Every command was told, and nothing began after a stop.
+    let told = told.lock().unwrap();
+    let moves: Vec<&GateEvent> = told
+        .iter()
+        .filter(|e| !matches!(e, GateEvent::Stopped { .. }))
+        .collect();
+    let begun = |e: &GateEvent| matches!(e, GateEvent::MoveBegan { .. });
+    assert!(
+        moves.len() == 4 && begun(moves[0]) && begun(moves[2]),
+        "{moves:?}"
+    );
+    assert!(matches!(moves[3], GateEvent::Arrived { at } if at.si(Axis::Z) == Some(-5e-3)));
 }
 
 #[test]

@@ -5,6 +5,7 @@ use scopeservo_geometry::Affine2;
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Frame, Instrument, ObjectiveId, StagePose};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// The parts of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -189,6 +190,10 @@ pub trait Sink {
     fn event(&mut self, event: Stamped);
     /// A frame was grabbed; called before its [`Event::FrameGrabbed`].
     fn frame(&mut self, frame: &Frame, role: FrameRole);
+    /// The same for a frame that a sink may keep without a copy.
+    fn shared_frame(&mut self, frame: &Arc<Frame>, role: FrameRole) {
+        self.frame(frame, role);
+    }
 }
 
 /// A sink that keeps nothing.

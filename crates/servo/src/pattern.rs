@@ -12,6 +12,7 @@ use crate::{Event, FrameRole, PlanarPose, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::{Vec2, least_squares};
 use scopeservo_scope::{FlatField, Frame, Instrument, ObjectiveId};
 use scopeservo_sift::{Features, GrayImage};
+use std::sync::Arc;
 
 /// So far from the first frame, and from each other, the others are taken, pixels.
 const AROUND_PX: f64 = 40.0;
@@ -47,7 +48,7 @@ pub(crate) fn look_around(
     sink: &mut dyn Sink,
     (objective, um_per_px): (&ObjectiveId, f64),
     vision: &VisionOptions,
-    first: &Frame,
+    first: &Arc<Frame>,
     home: &PlanarPose,
 ) -> Result<Option<Cleaned>, ServoError> {
     let step_m = AROUND_PX * um_per_px * 1e-6;

@@ -196,6 +196,12 @@ impl Reposition {
         self
     }
 
+    /// The calibrations that were made on the way, the newest of each objective: worth keeping, however the run ends.
+    pub fn calibrations_made(&self) -> impl Iterator<Item = (&ObjectiveId, &Calibration)> {
+        let made = self.calibrations.iter();
+        made.filter(|(objective, _)| !self.known.contains(*objective))
+    }
+
     /// Algorithm 1, lines 2 and 6: the target's objective first, for K_t, unless that is known; then every objective up to the
     /// target's, from the lowest magnification on.
     fn plan(&mut self, scope: &Instrument) -> Result<(), ServoError> {

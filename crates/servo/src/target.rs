@@ -50,7 +50,7 @@ pub struct Target {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Taken {
     /// As the camera gave it, in full depth.
-    pub frame: Frame,
+    pub frame: Arc<Frame>,
     /// What lay on the camera then.
     pub flat_field: Option<Arc<FlatField>>,
     /// Size of a pixel on the specimen, um: as calibrated, else as engraved.
@@ -90,7 +90,7 @@ impl Target {
         scope: &Instrument,
         options: &VisionOptions,
         sink: &mut dyn Sink,
-    ) -> Result<(Self, GrayImage, Frame), ServoError> {
+    ) -> Result<(Self, GrayImage, Arc<Frame>), ServoError> {
         let objective = scope.gate().current_objective()?.ok_or_else(|| {
             ServoError::BadOption("no objective is in the beam; select one and try again".into())
         })?;
@@ -262,7 +262,7 @@ impl SaveTarget {
         &self,
         scope: &Instrument,
         sink: &mut dyn Sink,
-        (target, image, frame): (&mut Target, &mut GrayImage, &Frame),
+        (target, image, frame): (&mut Target, &mut GrayImage, &Arc<Frame>),
         home: &PlanarPose,
     ) -> Result<Aside, ServoError> {
         let vision = &self.options.vision;
@@ -292,7 +292,7 @@ impl SaveTarget {
         &self,
         scope: &Instrument,
         objective: &ObjectiveId,
-        frame: Frame,
+        frame: Arc<Frame>,
         stage: StagePose,
     ) -> Result<Taken, ServoError> {
         Ok(Taken {

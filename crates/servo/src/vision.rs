@@ -7,6 +7,7 @@ use scopeservo_scope::{FlatField, Frame, Instrument, ObjectiveId};
 use scopeservo_sift::{Features, GrayImage, Sift, Simd};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
+use std::sync::Arc;
 
 /// Feature budgets and registration settings of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -62,9 +63,9 @@ pub(crate) fn grab(
     sink: &mut dyn Sink,
     role: FrameRole,
     objective: &ObjectiveId,
-) -> Result<Frame, ServoError> {
-    let frame = scope.grab()?;
-    sink.frame(&frame, role);
+) -> Result<Arc<Frame>, ServoError> {
+    let frame = Arc::new(scope.grab()?);
+    sink.shared_frame(&frame, role);
     let event = Event::FrameGrabbed {
         sequence: frame.sequence,
         role,
