@@ -1,5 +1,5 @@
 //! Autofocus, the paper's section IV-B.1: sweep a range of heights, take the one with the largest mean |Laplacian|, here over the mean
-//! luminance.
+//! luminance. Parts of the picture that are as sharp at every height do not count (`sharpness.rs`).
 //!
 //! The sweep is done twice, coarse over the candidate range and fine around its best, and the peak is a parabola through
 //! the best samples. A sweep without a peak is an answer of its own: the stage goes back to where it started. Heights are those that the
@@ -7,9 +7,10 @@
 
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress, withdrawn};
+use crate::sharpness::{Grid, constant, sharpness_and_grid};
 use crate::vision::grab;
 use crate::{Event, FrameRole, ServoError, Sink};
-use scopeservo_scope::{Axis, Frame, Instrument, Length, Objective, ScopeError, StagePose};
+use scopeservo_scope::{Axis, Instrument, Length, Objective, ScopeError, StagePose};
 use serde::{Deserialize, Serialize};
 
 /// Settings of the sweep.
@@ -46,35 +47,12 @@ impl Default for FocusOptions {
 pub struct FocusResult {
     /// Height of the stage, um. `None` when the stage has no z and nothing was done.
     pub z_um: Option<f64>,
-    /// Sharpness there: the largest sampled.
+    /// Sharpness of the whole picture near there: where it is largest for what counts.
     pub sharpness: f64,
-    /// Largest over smallest sharpness of the coarse sweep.
+    /// Largest over smallest sharpness of the coarse sweep, of what counts in the picture.
     pub contrast: f64,
     /// Frames used.
     pub samples: usize,
-}
-
-/// Mean |Laplacian| of the luminance (4-neighbour mask, inner pixels) over its mean: light that changes with the height, or
-/// flickers, is no sharpness. 0 for a black frame.
-pub fn sharpness(frame: &Frame) -> f64 {
-    let (w, h) = (frame.width, frame.height);
-    if w < 3 || h < 3 {
-        return 0.0;
-    }
-    let l = frame.luminance();
-    let mut sum = 0.0f64;
-    for y in 1..h - 1 {
-        let (up, row, down) = (&l[(y - 1) * w..], &l[y * w..], &l[(y + 1) * w..]);
-        let line: f32 = (1..w - 1)
-            .map(|x| (up[x] + down[x] + row[x - 1] + row[x + 1] - 4.0 * row[x]).abs())
-            .sum();
-        sum += f64::from(line);
-    }
-    let mean = l.iter().map(|&v| f64::from(v)).sum::<f64>() / l.len() as f64;
-    match mean > 0.0 {
-        true => sum / ((w - 2) * (h - 2)) as f64 / mean,
-        false => 0.0,
-    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -82,6 +60,16 @@ enum Pass {
     Coarse,
     Fine,
     Approach,
+}
+
+/// One look.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Sample {
+    z_um: f64,
+    /// Of the whole picture.
+    sharpness: f64,
+    /// Cell by cell.
+    grid: Grid,
 }
 
 /// The autofocus as a step machine: one sample per step.
@@ -94,8 +82,11 @@ pub struct Focus {
     extended: u8,
     /// Heights still to visit, ascending.
     plan_um: Vec<f64>,
-    /// (height, sharpness), of the present pass.
-    samples: Vec<[f64; 2]>,
+    /// Of the present pass.
+    samples: Vec<Sample>,
+    /// Cells of the picture that are as sharp at every height of the coarse sweep.
+    #[serde(default)]
+    left_out: Vec<usize>,
     contrast: f64,
     taken: usize,
 }
@@ -111,6 +102,7 @@ impl Focus {
             extended: 0,
             plan_um: Vec::new(),
             samples: Vec::new(),
+            left_out: Vec::new(),
             contrast: 1.0,
             taken: 0,
         }
@@ -144,39 +136,51 @@ impl Focus {
             .collect())
     }
 
-    fn best(&self) -> usize {
-        (0..self.samples.len())
-            .max_by(|&a, &b| self.samples[a][1].total_cmp(&self.samples[b][1]))
-            .unwrap_or(0)
+    /// Height and sharpness of what counts, ascending.
+    fn curve(&mut self) -> Vec<[f64; 2]> {
+        self.samples.sort_by(|a, b| a.z_um.total_cmp(&b.z_um));
+        let counted = |s: &Sample| match self.left_out.is_empty() {
+            true => s.sharpness,
+            false => s.grid.without(&self.left_out),
+        };
+        let curve = self.samples.iter().map(|s| [s.z_um, counted(s)]);
+        curve.collect()
     }
 
     fn no_focus(&self) -> ServoError {
         ServoError::NoFocus {
             objective: self.objective.id.clone(),
             contrast: self.contrast,
-            from_um: self.samples.first().map_or(f64::NAN, |s| s[0]),
-            to_um: self.samples.last().map_or(f64::NAN, |s| s[0]),
+            from_um: self.samples.first().map_or(f64::NAN, |s| s.z_um),
+            to_um: self.samples.last().map_or(f64::NAN, |s| s.z_um),
         }
     }
 
+    /// What the sweep shows, and the least contrast that is no noise.
+    fn judged(&mut self) -> (Vec<[f64; 2]>, f64) {
+        self.left_out.clear();
+        self.curve();
+        let grids: Vec<&Grid> = self.samples.iter().map(|s| &s.grid).collect();
+        self.left_out = constant(&grids, self.options.min_contrast);
+        let noise = grids.first().filter(|_| !self.left_out.is_empty());
+        let noise = noise.map_or(0.0, |grid| grid.noise_without(&self.left_out));
+        (self.curve(), self.options.min_contrast.max(1.0 + noise))
+    }
+
     fn coarse_done(&mut self, scope: &Instrument, start_um: f64) -> Result<(), ServoError> {
-        self.samples.sort_by(|a, b| a[0].total_cmp(&b[0]));
-        let best = self.best();
-        let least = self
-            .samples
-            .iter()
-            .map(|s| s[1])
-            .fold(f64::INFINITY, f64::min);
-        let Some(peak) = self.samples.get(best) else {
+        let (curve, min_contrast) = self.judged();
+        let best = best(&curve);
+        let least = curve.iter().map(|s| s[1]).fold(f64::INFINITY, f64::min);
+        let Some(peak) = curve.get(best) else {
             return Err(self.no_focus());
         };
         self.contrast = peak[1] / least.max(1e-12);
-        if self.contrast < self.options.min_contrast {
+        if self.contrast < min_contrast {
             scope.return_to_height(Length::from_um(start_um))?;
             return Err(self.no_focus());
         }
         let (z, step) = (peak[0], self.coarse_step_um());
-        let at_end = best == 0 || best + 1 == self.samples.len();
+        let at_end = best == 0 || best + 1 == curve.len();
         if at_end && self.extended < 2 {
             // The peak may lie beyond: look half a range further on that side.
             self.extended += 1;
@@ -238,9 +242,9 @@ impl Focus {
         };
         if self.pass == Pass::Approach {
             // From below, like every sample, so that play in the focus drive does not matter.
-            self.samples.sort_by(|a, b| a[0].total_cmp(&b[0]));
-            let best = self.best();
-            let z = peak_of(&self.samples, best);
+            let curve = self.curve();
+            let best = best(&curve);
+            let z = peak_of(&curve, best);
             let below = height(z - 2.0 * self.coarse_step_um());
             if scope.gate().check(&below).is_ok() {
                 scope.move_to(&below)?;
@@ -249,7 +253,7 @@ impl Focus {
             scope.focus_found(&self.objective.id, Length::from_um(z));
             return Ok(Progress::Done(FocusResult {
                 z_um: Some(z),
-                sharpness: self.samples[best][1],
+                sharpness: self.samples[best].sharpness,
                 contrast: self.contrast,
                 samples: self.taken,
             }));
@@ -257,9 +261,13 @@ impl Focus {
         if !self.plan_um.is_empty() {
             let z = Self::go(scope, self.plan_um.remove(0))?;
             let frame = grab(scope, sink, FrameRole::Focus, &self.objective.id)?;
-            let sharpness = sharpness(&frame);
+            let (sharpness, grid) = sharpness_and_grid(&frame);
             tell(scope, sink, Event::FocusSample { z_um: z, sharpness });
-            self.samples.push([z, sharpness]);
+            self.samples.push(Sample {
+                z_um: z,
+                sharpness,
+                grid,
+            });
             self.taken += 1;
         }
         if self.plan_um.is_empty() {
@@ -282,6 +290,13 @@ fn height(z_um: f64) -> StagePose {
         z: Some(Length::from_um(z_um)),
         ..StagePose::default()
     }
+}
+
+/// The sharpest sample.
+fn best(curve: &[[f64; 2]]) -> usize {
+    (0..curve.len())
+        .max_by(|&a, &b| curve[a][1].total_cmp(&curve[b][1]))
+        .unwrap_or(0)
 }
 
 /// The top of the parabola through the samples around `best`, kept between its neighbours.
@@ -318,32 +333,6 @@ impl Procedure for Focus {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use scopeservo_scope::{Channels, Samples, Timestamp};
-
-    fn frame(f: impl Fn(usize, usize) -> u8) -> Frame {
-        Frame {
-            width: 32,
-            height: 24,
-            channels: Channels::Gray,
-            bit_depth: 8,
-            samples: Samples::U8((0..32 * 24).map(|i| f(i % 32, i / 32)).collect()),
-            sequence: 0,
-            exposure_start: Timestamp::default(),
-            exposure: std::time::Duration::from_millis(10),
-        }
-    }
-
-    #[test]
-    fn a_slope_has_no_laplacian_and_an_edge_has() {
-        assert_eq!(sharpness(&frame(|_, _| 77)), 0.0);
-        assert!(sharpness(&frame(|x, y| (3 * x + 2 * y) as u8)) < 1e-6);
-        // One step between two columns: |L| is its height on both sides of it, 2 of 30 inner columns; the mean is half of it.
-        for high in [255, 100] {
-            let edge = sharpness(&frame(|x, _| if x < 16 { 0 } else { high }));
-            assert!((edge - 2.0 / 30.0 / 0.5).abs() < 1e-6, "{edge}");
-        }
-        assert_eq!(sharpness(&frame(|_, _| 0)), 0.0);
-    }
 
     #[test]
     fn the_parabola_finds_its_top_between_samples() {

@@ -24,6 +24,7 @@ mod procedure;
 mod proof;
 mod reposition;
 pub mod servo;
+mod sharpness;
 mod sight;
 mod target;
 mod trial;
@@ -37,7 +38,7 @@ pub use end::{ServoEnd, ServoResult};
 pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};
 pub use fixed::FixedPlaces;
-pub use focus::{Focus, FocusOptions, FocusResult, sharpness};
+pub use focus::{Focus, FocusOptions, FocusResult};
 pub use hand_eye::{Observation, solve_hand_eye};
 pub use identify::{Identify, Identity};
 pub use kinematics::{Motion2, PlanarPose, motion_between, pose_after};
@@ -46,6 +47,7 @@ pub use reposition::{
     MagnificationResult, Outcome, Reason, Reposition, RepositionOptions, Verdict,
 };
 pub use servo::{Servo, ServoOptions, ServoTask};
+pub use sharpness::sharpness;
 pub use target::{Picture, SaveOptions, SaveTarget, Taken, Target};
 pub use trial::{Drift, drift_seen, scale_seen};
 pub use vision::{Engine, VisionOptions};

@@ -1,0 +1,173 @@
+//! What stays on the camera is no focus, and does not hide one.
+
+mod common;
+
+use common::{Bench, bench_over, one_objective};
+use scopeservo_scope::{Axis, StagePose};
+use scopeservo_servo::{
+    Focus, FocusOptions, FocusResult, NoSink, Procedure, Progress, ServoError, run,
+};
+use scopeservo_twin::specimen::Specimen;
+use scopeservo_twin::{Blank, Config, DustConfig, Mark, PatternConfig, Sparse, SparseConfig};
+use std::sync::Arc;
+
+fn text() -> Vec<Mark> {
+    let lines = ["LABORATORY 3, MICROSCOPE 2", "26 NOV 2026 10:14", "50 UM"];
+    (0..)
+        .zip(lines)
+        .map(|(i, text)| Mark::Text {
+            text: text.into(),
+            at_px: [60, 20 + 150 * i],
+            dot_px: 3,
+            level: 0.0,
+            box_level: Some(1.0),
+        })
+        .collect()
+}
+
+fn digits() -> Vec<Mark> {
+    vec![Mark::StagePlace {
+        at_px: [20, 430],
+        dot_px: 3,
+        level: 1.0,
+        box_level: Some(0.0),
+    }]
+}
+
+fn reticle() -> Vec<Mark> {
+    vec![Mark::Reticle {
+        centre_px: [320.0, 240.0],
+        arm_px: 200.0,
+        line_px: 2.0,
+        tick_px: 20.0,
+        circles_px: vec![60.0],
+        attenuation: 0.9,
+    }]
+}
+
+/// The usual instrument with these on its camera and no dust.
+fn with(marks: Vec<Mark>) -> Config {
+    let mut config = one_objective();
+    config.camera.dust.clear();
+    config.camera.marks = marks;
+    config
+}
+
+fn hard_dust() -> DustConfig {
+    DustConfig {
+        specks: 60,
+        radius_px: [2.0, 12.0],
+        attenuation: [0.3, 0.9],
+        steepness: [15, 60],
+        ..DustConfig::default()
+    }
+}
+
+/// About a dozen cells in the view.
+fn sparse(seed: u64) -> Arc<dyn Specimen> {
+    let config = SparseConfig {
+        seed,
+        per_mm2: 250.0,
+        contrast: 0.6,
+        ..SparseConfig::default()
+    };
+    Arc::new(Sparse::new(config).unwrap())
+}
+
+fn focus(bench: &Bench) -> Result<FocusResult, ServoError> {
+    let objective = bench.scope.gate().objectives()[0].clone();
+    run(
+        &mut Focus::new(objective, FocusOptions::default()),
+        &bench.scope,
+        &mut NoSink,
+    )
+}
+
+fn put_out_of_focus(bench: &Bench, defocus_um: f64) {
+    let z = bench.scope.gate().position().unwrap().si(Axis::Z).unwrap();
+    let now = bench.twin.truth_now().defocus_um;
+    let to = z + (defocus_um - now) * 1e-6;
+    bench
+        .scope
+        .move_to(&StagePose::default().with_si(Axis::Z, to))
+        .unwrap();
+}
+
+#[test]
+fn sparse_tissue_is_brought_into_focus_beside_whatever_is_on_the_camera() {
+    let nothing: Vec<Mark> = Vec::new();
+    for seed in [3, 4] {
+        for (name, marks, dust) in [
+            ("nothing", nothing.clone(), vec![]),
+            ("text", text(), vec![]),
+            ("text and digits", [text(), digits()].concat(), vec![]),
+            ("reticle", reticle(), vec![]),
+            ("hard dust", nothing.clone(), vec![hard_dust()]),
+        ] {
+            let bench = bench_over(with(marks), sparse(seed), Vec::new());
+            bench.twin.settle_dust(&dust, 3).unwrap();
+            put_out_of_focus(&bench, 17.0);
+            let found = focus(&bench).unwrap_or_else(|e| panic!("{name}, {seed}: {e}"));
+            let off = bench.twin.truth_now().defocus_um;
+            assert!(off.abs() < 2.0, "{name}, {seed}: {off} um, {found:?}");
+        }
+    }
+}
+
+/// With every objective of an instrument whose camera has its usual dust.
+#[test]
+fn of_ordinary_tissue_the_whole_picture_counts() {
+    let tissue = Arc::new(scopeservo_twin::specimen::Tissue::new(7));
+    let bench = bench_over(Config::realistic(), tissue, Vec::new());
+    for objective in bench.scope.gate().objectives().to_vec() {
+        bench.scope.select_objective(&objective.id).unwrap();
+        put_out_of_focus(&bench, 11.0);
+        let mut focus = Focus::new(objective, FocusOptions::default());
+        while let Progress::Continue = focus.step(&bench.scope, &mut NoSink).unwrap() {
+            let state = serde_json::to_value(&focus).unwrap();
+            assert_eq!(state["left_out"], serde_json::json!([]));
+            assert!(state.to_string().len() < 100_000, "a state stays small");
+        }
+        assert!(bench.twin.truth_now().defocus_um.abs() < 4.0);
+    }
+}
+
+#[test]
+fn blank_glass_is_never_in_focus_whatever_is_on_the_camera() {
+    let pattern = PatternConfig {
+        offset_e: 60.0,
+        gain: 0.02,
+        column_offset_e: 40.0,
+        column_gain: 0.005,
+    };
+    for (name, marks, dust) in [
+        ("nothing", vec![], vec![]),
+        ("text", text(), vec![]),
+        ("digits", digits(), vec![]),
+        (
+            "all",
+            [text(), digits(), reticle()].concat(),
+            vec![hard_dust()],
+        ),
+        ("hard dust", vec![], vec![hard_dust()]),
+    ] {
+        for (read_noise_e, pattern) in [
+            (10.0, PatternConfig::default()),
+            (10.0, pattern),
+            // One per cent of full scale.
+            (100.0, PatternConfig::default()),
+        ] {
+            let mut config = with(marks.clone());
+            config.camera.full_well_e = 10_000.0;
+            config.camera.read_noise_e = read_noise_e;
+            config.camera.pattern = pattern;
+            let bench = bench_over(config, Arc::new(Blank), Vec::new());
+            bench.twin.settle_dust(&dust, 3).unwrap();
+            let told = focus(&bench);
+            assert!(
+                matches!(told, Err(ServoError::NoFocus { .. })),
+                "{name}, {read_noise_e}: {told:?}"
+            );
+        }
+    }
+}
