@@ -213,6 +213,24 @@ impl Matched {
             pairs,
         }
     }
+
+    /// The answer of those matches alone that count.
+    pub fn of_those(
+        &self,
+        (view, target): (&Features, &Features),
+        prior: &Prior,
+        options: &Options,
+        counts: impl Fn(&Match, &Correspondence) -> bool,
+    ) -> Registration {
+        let (matches, pairs): (Vec<Match>, Vec<Correspondence>) = self
+            .matches
+            .iter()
+            .zip(&self.pairs)
+            .filter(|(m, c)| counts(m, c))
+            .map(|(m, c)| (*m, *c))
+            .unzip();
+        register_matches(view, target, prior, options, &matches, &pairs)
+    }
 }
 
 /// Registers a view to a target; as [`Matched::of`].

@@ -1,17 +1,23 @@
 //! Pattern-free calibration in two steps, the paper's section IV-A: eight translations for the 2x2 map (13)-(15), then
 //! rotations for the rotation centre (17)-(18). Works over a general 2x2 map; kx, ky, phi are a reading of it.
+//!
+//! What is fixed to the camera (dust, a reticle, burnt-in text) stays while a translation moves the view, and counts in none of them. A
+//! rotation may leave the view's centre where it is; there what stayed in the translations is left out.
 
+use crate::aside::SEEN_PX;
 use crate::event::tell;
+use crate::fixed::LEAST_PX;
 use crate::hand_eye::{Observation, covariance, explained_px, solve_hand_eye};
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::{centre_px, features, grab, gray, same_objective};
 use crate::{CALIBRATION_SCHEMA, Calibration, Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
-use scopeservo_registration::{NotFound, register};
+use scopeservo_registration::{Matched, NotFound, Registration};
 use scopeservo_scope::{Axis, Instrument, Objective, ScopeError};
-use scopeservo_sift::Features;
+use scopeservo_sift::{Features, Match};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Settings of a calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -57,6 +63,8 @@ pub(crate) const DIRECTIONS: [Vec2; 8] = [
 ];
 /// Translations that must be measured.
 const NEEDED: usize = 4;
+/// A place that stayed in so many translations is fixed to the camera.
+const STAYED: usize = 2;
 /// The radius is halved at most so often when views are not found.
 const HALVINGS: u8 = 3;
 /// The first trial rotation: with a lever arm of 0.3 m it sweeps 9 um.
@@ -81,6 +89,9 @@ pub struct Calibrate {
     state: State,
     reference_pose: Option<PlanarPose>,
     reference: Option<Features>,
+    /// In how many translations a feature of the reference stayed where it was.
+    #[serde(default)]
+    stayed: BTreeMap<usize, usize>,
     translations: Vec<Observation>,
     rotations: Vec<Observation>,
     last_reason: Option<NotFound>,
@@ -97,6 +108,7 @@ impl Calibrate {
             state: State::Reference,
             reference_pose: None,
             reference: None,
+            stayed: BTreeMap::new(),
             translations: Vec::new(),
             rotations: Vec::new(),
             last_reason: None,
@@ -109,20 +121,53 @@ impl Calibrate {
         info.width.min(info.height) as f64 * self.objective.nominal_um_per_px
     }
 
-    /// Moves to `pose`, looks, and registers to the reference. `None` when the view is not found there.
+    /// Registers a view to the reference, without what is fixed to the camera: what stays where it is, when the view `moved` for sure;
+    /// else what stayed in the translations.
+    fn register(&mut self, view: &Features, moved: bool) -> Result<Registration, ServoError> {
+        let reference = self.reference.as_ref().ok_or_else(no_reference)?;
+        let options = &self.vision.registration;
+        let prior = same_objective(1.5 * self.options.max_rotation_rad);
+        let matched = Matched::of(view, reference, &prior, options);
+        let way = |m: &Match| {
+            let (v, t) = (&view.keypoints[m.query], &reference.keypoints[m.train]);
+            f64::from(f32::hypot(v.x - t.x, v.y - t.y))
+        };
+        let fixed: Vec<usize> = matched
+            .matches
+            .iter()
+            .filter(|m| match moved {
+                true => way(m) <= LEAST_PX,
+                false => self.stayed.get(&m.train).is_some_and(|n| *n >= STAYED),
+            })
+            .map(|m| m.train)
+            .collect();
+        if fixed.is_empty() {
+            return Ok(matched.registration);
+        }
+        let free = |m: &Match| !fixed.contains(&m.train);
+        let registration = matched.of_those((view, reference), &prior, options, |m, _| free(m));
+        if moved {
+            for k in fixed {
+                *self.stayed.entry(k).or_default() += 1;
+            }
+        }
+        Ok(registration)
+    }
+
+    /// Moves to `pose`, looks, and registers to the reference; `moved` is whether the view moves far enough to be seen to. `None` when
+    /// the view is not found there.
     fn observe(
         &mut self,
         scope: &Instrument,
         sink: &mut dyn Sink,
         pose: &PlanarPose,
+        moved: bool,
     ) -> Result<Option<Observation>, ServoError> {
         let present = scope.gate().position()?;
         let at = scope.move_to(&pose.request(&present))?;
         let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
         let view = features(&gray(scope, &frame)?, &self.vision.view)?;
-        let reference = self.reference.as_ref().ok_or_else(no_reference)?;
-        let prior = same_objective(1.5 * self.options.max_rotation_rad);
-        let registration = register(&view, reference, &prior, &self.vision.registration);
+        let registration = self.register(&view, moved)?;
         let centre = centre_px(frame.width, frame.height);
         let observation = match &registration.outcome {
             Ok(estimate) => Some(Observation {
@@ -176,7 +221,8 @@ impl Calibrate {
             x_m: [0, 1].map(|k| reference.x_m[k] + radius_m * DIRECTIONS[index][k]),
             ..reference
         };
-        let seen = self.observe(scope, sink, &pose)?;
+        let moved = radius_m * 1e6 >= SEEN_PX * self.objective.nominal_um_per_px;
+        let seen = self.observe(scope, sink, &pose, moved)?;
         self.translations.extend(seen);
         self.state = if index + 1 < DIRECTIONS.len() {
             State::Translate {
@@ -189,6 +235,7 @@ impl Calibrate {
                 return Err(self.too_few(self.translations.len(), NEEDED));
             }
             self.translations.clear();
+            self.stayed.clear();
             State::Translate {
                 index: 0,
                 halvings: halvings + 1,
@@ -220,7 +267,7 @@ impl Calibrate {
             ..reference
         };
         let swept_px = self
-            .observe(scope, sink, &pose)?
+            .observe(scope, sink, &pose, false)?
             .map(|o| f64::hypot(o.b_px[0], o.b_px[1]));
         let widest = self.options.max_rotation_rad;
         self.state = match swept_px {
@@ -348,7 +395,7 @@ impl Calibrate {
                         theta_rad: reference.theta_rad + angle,
                         ..reference
                     };
-                    let seen = self.observe(scope, sink, &pose)?;
+                    let seen = self.observe(scope, sink, &pose, false)?;
                     self.rotations.extend(seen);
                     self.state = State::Rotate { angles_rad };
                 } else {

@@ -1,13 +1,15 @@
 //! Which objective is in the beam, asked of the picture: where only somebody's word tells, a small move of the stage shows how many
 //! micrometres a pixel has.
 
+use crate::aside::SEEN_PX;
 use crate::event::tell;
+use crate::fixed::LEAST_PX;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::{centre_px, features, grab, gray, same_objective};
 use crate::{Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
-use scopeservo_registration::{NotFound, register};
+use scopeservo_registration::{NotFound, Prior, register};
 use scopeservo_scope::{Axis, ErrorKind, Instrument, Objective, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 
@@ -59,14 +61,14 @@ impl Identify {
     }
 
     /// Moves twice by `step_m` along `along`, and sees how far the second move, which takes up no play, shifts the view:
-    /// um per pixel.
+    /// um per pixel. A pixel of the weakest objective has `weakest_m`.
     fn look(
         &self,
         scope: &Instrument,
         sink: &mut dyn Sink,
         home: &PlanarPose,
         along: Vec2,
-        step_m: f64,
+        (step_m, weakest_m): (f64, f64),
     ) -> Result<Result<f64, NotFound>, ServoError> {
         let mut see = |k: f64| -> Result<_, ServoError> {
             let pose = place(home, along, step_m, k);
@@ -81,8 +83,16 @@ impl Identify {
         };
         let (a, centre, first) = see(1.0)?;
         let (b, _, second) = see(2.0)?;
+        let options = &self.vision.registration;
         let prior = same_objective(0.05);
-        let estimate = match register(&second, &first, &prior, &self.vision.registration).outcome {
+        // What is fixed to the camera stays while any objective shows the specimen move; when all stays, that is told.
+        let seen_px = step_m / weakest_m;
+        let moving = Prior {
+            moved_px: (seen_px >= SEEN_PX).then_some(LEAST_PX),
+            ..prior
+        };
+        let moved = register(&second, &first, &moving, options).outcome;
+        let estimate = match moved.or_else(|_| register(&second, &first, &prior, options).outcome) {
             Ok(estimate) => estimate,
             Err(why) => return Ok(Err(why)),
         };
@@ -179,7 +189,7 @@ impl Identify {
                 .unwrap_or(ScopeError::NoSuchAxis { axis: Axis::X })
                 .into());
         };
-        let looked = self.look(scope, sink, &home, along, step_m);
+        let looked = self.look(scope, sink, &home, along, (step_m, coarsest));
         // Back, also when a place or a picture was refused; a stage that failed or was stopped stays.
         let stays = match &looked {
             Err(ServoError::Scope(error)) => error.kind() != ErrorKind::Refused,

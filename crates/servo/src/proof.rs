@@ -6,8 +6,8 @@
 use crate::aside::SEEN_PX;
 use crate::fixed::{FixedPlaces, LEAST_PX};
 use scopeservo_geometry::{Affine2, Correspondence, Vec2};
-use scopeservo_registration::{Estimate, Matched, Options, Prior, Registration, register_matches};
-use scopeservo_sift::{Features, Match};
+use scopeservo_registration::{Estimate, Matched, Options, Prior, Registration};
+use scopeservo_sift::Features;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
@@ -116,14 +116,9 @@ impl Proof {
             f64::hypot(q[0] - c.p_in_b[0], q[1] - c.p_in_b[1])
                 <= 2.0 * options.threshold_px * coarse_px
         };
-        let (matches, pairs): (Vec<Match>, Vec<Correspondence>) = matched
-            .matches
-            .iter()
-            .zip(&matched.pairs)
-            .filter(|(m, c)| !agrees(c) || moved([m.query, m.train]))
-            .map(|(m, c)| (*m, *c))
-            .unzip();
-        let again = register_matches(view, target, prior, options, &matches, &pairs);
+        let again = matched.of_those((view, target), prior, options, |m, c| {
+            !agrees(c) || moved([m.query, m.train])
+        });
         let Some(found) = again.found() else {
             return Proved::Nothing;
         };

@@ -169,7 +169,7 @@ mod tests {
     ) -> Frame {
         frame_of(640, 480, |i| {
             let (x, y) = (i % 640, i / 640);
-            if marked(x, y) && (x / 3 + y / 3) % 2 == 0 {
+            if marked(x, y) && (x / 3 + y / 3).is_multiple_of(2) {
                 return 20;
             }
             // Twelve uniform numbers are near enough to a normal one.
@@ -223,7 +223,7 @@ mod tests {
         let seen: Vec<Grid> = (0..11)
             .map(|k| {
                 let sharp = 8.0 + 30.0 * (-((f64::from(k) - 5.0) / 1.5).powi(2)).exp();
-                let more = |x: usize, y: usize| match tissue(x, y) && (x + y) % 2 == 0 {
+                let more = |x: usize, y: usize| match tissue(x, y) && (x + y).is_multiple_of(2) {
                     true => -sharp,
                     false => 0.0,
                 };
