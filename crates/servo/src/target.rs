@@ -170,12 +170,18 @@ impl SaveOptions {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SaveTarget {
     options: SaveOptions,
+    /// Where the view is, once that was asked: who goes on after a kill begins there, and not where the step aside had led.
+    #[serde(default)]
+    home: Option<StagePose>,
 }
 
 impl SaveTarget {
     /// Saves what is in view now.
     pub fn new(options: SaveOptions) -> Self {
-        Self { options }
+        Self {
+            options,
+            home: None,
+        }
     }
 
     /// Leaves out what is fixed to the camera, counts what moves, and looks for places that are alike.
@@ -314,7 +320,18 @@ impl Procedure for SaveTarget {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<Target>, ServoError> {
-        let stage = scope.gate().position()?;
+        let Some(stage) = self.home else {
+            self.home = Some(scope.gate().position()?);
+            return Ok(Progress::Continue);
+        };
+        let now = scope.gate().position()?;
+        let moved = scope.gate().info().axes.iter().any(|axis| {
+            let both = now.si(axis.axis).zip(stage.si(axis.axis));
+            both.is_some_and(|(now, then)| (now - then).abs() > axis.tolerance())
+        });
+        if moved && !self.options.still {
+            scope.move_to(&PlanarPose::from(&stage).request(&now))?;
+        }
         let vision = &self.options.vision;
         let (mut target, mut image, frame) = Target::grab(scope, vision, sink)?;
         let objective = target.objective.clone();

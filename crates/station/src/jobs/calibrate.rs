@@ -1,0 +1,130 @@
+//! Objectives calibrated one after the other, from the lowest magnification up.
+
+use crate::{JobError, MadeCalibration, UseCase, Work};
+use scopeservo_scope::{Objective, ObjectiveId};
+use scopeservo_servo::{Bring, Calibrate, CalibrateOptions, FocusOptions, Progress, VisionOptions};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// What is asked.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CalibrateInput {
+    /// The objectives; all that there are when none is named.
+    pub objectives: Vec<ObjectiveId>,
+    /// How to focus each first; `None` where the view is in focus.
+    pub focus: Option<FocusOptions>,
+    /// How to calibrate.
+    pub calibrate: CalibrateOptions,
+    /// How to look.
+    pub vision: VisionOptions,
+}
+
+impl Default for CalibrateInput {
+    fn default() -> Self {
+        Self {
+            objectives: Vec::new(),
+            focus: Some(FocusOptions::default()),
+            calibrate: CalibrateOptions::default(),
+            vision: VisionOptions::default(),
+        }
+    }
+}
+
+/// What was measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CalibrateOutput {
+    /// The calibrations, to be kept.
+    pub made: Vec<MadeCalibration>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum State {
+    Begin,
+    Next,
+    Bring(Box<Bring>),
+    Calibrate(Box<Calibrate>),
+}
+
+/// The job.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CalibrateJob {
+    input: CalibrateInput,
+    state: State,
+    /// Those to come; the first is under way.
+    left: VecDeque<Objective>,
+    made: Vec<MadeCalibration>,
+}
+
+impl CalibrateJob {
+    /// Does what is asked.
+    pub fn new(input: CalibrateInput) -> Self {
+        Self {
+            input,
+            state: State::Begin,
+            left: VecDeque::new(),
+            made: Vec::new(),
+        }
+    }
+
+    fn plan(&mut self, work: &Work<'_>) -> Result<(), JobError> {
+        let scope = work.scope();
+        let named = self.input.objectives.iter();
+        let mut wanted = match self.input.objectives.is_empty() {
+            true => scope.gate().objectives().to_vec(),
+            false => named
+                .map(|id| scope.objective(id).cloned())
+                .collect::<Result<_, _>>()?,
+        };
+        wanted.sort_by(|a, b| a.magnification.total_cmp(&b.magnification));
+        self.left = wanted.into();
+        Ok(())
+    }
+}
+
+impl UseCase for CalibrateJob {
+    type Output = CalibrateOutput;
+
+    fn kind(&self) -> &'static str {
+        "calibrate"
+    }
+
+    fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<CalibrateOutput>, JobError> {
+        let input = &self.input;
+        match &mut self.state {
+            State::Begin => {
+                self.plan(work)?;
+                self.state = State::Next;
+            }
+            State::Next => {
+                let Some(objective) = self.left.front() else {
+                    let made = std::mem::take(&mut self.made);
+                    return Ok(Progress::Done(CalibrateOutput { made }));
+                };
+                // What fails from now on goes back to where this one began.
+                work.scope().command_begins();
+                let (focus, vision) = (input.focus.clone(), input.vision.clone());
+                let bring = Bring::new(objective.id.clone(), focus, vision);
+                self.state = State::Bring(Box::new(bring));
+            }
+            State::Bring(bring) => {
+                if let (Progress::Done(_), Some(objective)) =
+                    (work.step(&mut **bring)?, self.left.front())
+                {
+                    let (options, vision) = (input.calibrate.clone(), input.vision.clone());
+                    let calibrate = Calibrate::new(objective.clone(), options, vision);
+                    self.state = State::Calibrate(Box::new(calibrate));
+                }
+            }
+            State::Calibrate(calibrate) => {
+                if let Progress::Done(calibration) = work.step(&mut **calibrate)? {
+                    self.made.push(work.keep_calibration(calibration));
+                    self.left.pop_front();
+                    self.state = State::Next;
+                }
+            }
+        }
+        Ok(Progress::Continue)
+    }
+}

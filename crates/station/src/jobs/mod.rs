@@ -1,0 +1,16 @@
+//! The jobs: one use case each, that any front end can run.
+//!
+//! What storage knows comes in with the input (the target, known calibrations, the size of a pixel), and what is to be kept goes out with
+//! the output. A job that ends early has it in [`crate::JobHandle::kept`].
+
+mod calibrate;
+mod focus;
+mod identify;
+mod reposition;
+mod save_target;
+
+pub use calibrate::{CalibrateInput, CalibrateJob, CalibrateOutput};
+pub use focus::{FocusInput, FocusJob, FocusOutput};
+pub use identify::{IdentifyInput, IdentifyJob, IdentifyOutput};
+pub use reposition::{RepositionInput, RepositionJob, RepositionOutput};
+pub use save_target::{SaveTargetInput, SaveTargetJob, SaveTargetOutput};

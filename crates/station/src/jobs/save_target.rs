@@ -1,0 +1,117 @@
+//! The view saved as a target, after the objective was brought into the beam and, where that is wanted, into focus.
+
+use crate::{JobError, UseCase, Work};
+use scopeservo_scope::{Frame, ObjectiveId, StagePose};
+use scopeservo_servo::{
+    Bring, Calibration, FocusOptions, Progress, SaveOptions, SaveTarget, Target, VisionOptions,
+};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// What is asked.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SaveTargetInput {
+    /// The objective; the one in the beam when none is named.
+    pub objective: Option<ObjectiveId>,
+    /// How to focus first; `None` where the view is in focus.
+    pub focus: Option<FocusOptions>,
+    /// Nothing may move for it: then nobody knows what belongs to the specimen, and the run must prove it.
+    pub still: bool,
+    /// Calibrations of this instrument and camera that are known; the scale of others is as engraved.
+    pub known: Vec<Calibration>,
+    /// How to look.
+    pub vision: VisionOptions,
+}
+
+/// What was saved.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SaveTargetOutput {
+    /// The target, to be kept.
+    pub target: Target,
+    /// Where the stage stood.
+    pub stage: StagePose,
+    /// Its picture, to be kept; it stays in this process.
+    #[serde(skip)]
+    pub frame: Option<Arc<Frame>>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum State {
+    Begin,
+    Bring {
+        objective: ObjectiveId,
+        bring: Box<Bring>,
+    },
+    Save {
+        stage: StagePose,
+        save: Box<SaveTarget>,
+    },
+}
+
+/// The job.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SaveTargetJob {
+    input: SaveTargetInput,
+    state: State,
+}
+
+impl SaveTargetJob {
+    /// Does what is asked.
+    pub fn new(input: SaveTargetInput) -> Self {
+        Self {
+            input,
+            state: State::Begin,
+        }
+    }
+}
+
+impl UseCase for SaveTargetJob {
+    type Output = SaveTargetOutput;
+
+    fn kind(&self) -> &'static str {
+        "save_target"
+    }
+
+    fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<SaveTargetOutput>, JobError> {
+        let input = &self.input;
+        match &mut self.state {
+            State::Begin => {
+                let objective = work.objective(input.objective.as_ref())?.id;
+                let (focus, vision) = (input.focus.clone(), input.vision.clone());
+                let bring = Box::new(Bring::new(objective.clone(), focus, vision));
+                self.state = State::Bring { objective, bring };
+            }
+            State::Bring { objective, bring } => {
+                if let Progress::Done(_) = work.step(&mut **bring)? {
+                    let save = SaveTarget::new(SaveOptions {
+                        vision: input.vision.clone(),
+                        still: input.still,
+                        calibration: input
+                            .known
+                            .iter()
+                            .find(|c| c.objective == *objective)
+                            .cloned(),
+                    });
+                    self.state = State::Save {
+                        stage: work.scope().gate().position()?,
+                        save: Box::new(save),
+                    };
+                }
+            }
+            State::Save { stage, save } => {
+                let stage = *stage;
+                if let Progress::Done(target) = work.step(&mut **save)? {
+                    let frame = work.target_frame();
+                    return Ok(Progress::Done(SaveTargetOutput {
+                        target,
+                        stage,
+                        frame,
+                    }));
+                }
+            }
+        }
+        Ok(Progress::Continue)
+    }
+}

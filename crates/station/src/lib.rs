@@ -1,0 +1,37 @@
+//! The use cases, for every front end: the command line, a server, a page, a program.
+//!
+//! A [`Session`] is one open instrument. Whoever holds its [`Lease`] starts [`Job`]s, which run one after the other, each on a thread of
+//! its own and with a stop of its own. What happens goes over the [`Bus`] to any number of [`Listener`]s; [`Questions`] to people are
+//! news with an answer; a [`Journal`] is told the whole state before each step, so that a killed job can go on. The jobs themselves
+//! are [`jobs`]: one file each.
+//!
+//! Nothing here prints, reads files or the wall clock, or keeps global state.
+
+mod bus;
+mod error;
+mod job;
+pub mod jobs;
+mod journal;
+mod lease;
+mod line;
+mod news;
+mod question;
+mod session;
+mod work;
+
+pub use bus::{Bus, Heard, Keeper, LOG_BYTES, Listener, Shown};
+pub use error::{JobError, Refusal};
+pub use job::{Ended, Job, JobHandle, JobId, JobInfo, JobState, Pause};
+pub use journal::{Journal, JournalError, MemoryJournal, NoJournal};
+pub use lease::Lease;
+pub use news::{News, Record, StationEvent};
+pub use question::{Ask, Question, QuestionId, QuestionKind, Questions};
+pub use session::{Parts, Session};
+pub use work::{Kept, MadeCalibration, UseCase, Work};
+
+/// What a panic left behind a lock is whole: every value is replaced in one go.
+fn lock<T: ?Sized>(mutex: &std::sync::Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex
+        .lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner)
+}

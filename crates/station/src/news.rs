@@ -1,0 +1,124 @@
+//! What can be heard.
+
+use crate::{Ended, JobId, JobInfo, Pause, Question, QuestionId};
+use scopeservo_scope::GateEvent;
+use scopeservo_servo::Event;
+use serde::{Deserialize, Serialize};
+
+/// One thing that happened: a line of the session's log.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Counts from 0 without gaps.
+    pub sequence: u64,
+    /// Seconds on the instrument's clock.
+    pub time_s: f64,
+    /// The job that was under way.
+    pub job: Option<JobId>,
+    /// What happened.
+    #[serde(flatten)]
+    pub news: News,
+}
+
+/// Who tells, and what.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "from", rename_all = "snake_case")]
+pub enum News {
+    /// The procedure of a job.
+    Procedure(Box<Event>),
+    /// The motion gate: every command, those hidden in a change of objective as well.
+    Gate(GateEvent),
+    /// The station.
+    Station(StationEvent),
+}
+
+/// What the station tells.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum StationEvent {
+    /// A job waits for its turn.
+    JobQueued {
+        /// The job.
+        info: JobInfo,
+    },
+    /// A job began.
+    JobBegan {
+        /// The job.
+        info: JobInfo,
+    },
+    /// A job waits before its next step.
+    JobPaused {
+        /// Which.
+        id: JobId,
+        /// Why.
+        why: Pause,
+    },
+    /// A job goes on.
+    JobResumed {
+        /// Which.
+        id: JobId,
+    },
+    /// A job ended.
+    JobEnded {
+        /// Which.
+        id: JobId,
+        /// How.
+        how: Ended,
+    },
+    /// Something could not be kept; the job goes on.
+    NotKept {
+        /// Which job.
+        id: JobId,
+        /// Why.
+        why: String,
+    },
+    /// Somebody is asked something.
+    Asked {
+        /// What.
+        question: Question,
+    },
+    /// Somebody answered.
+    Answered {
+        /// Which question.
+        id: QuestionId,
+        /// What.
+        yes: bool,
+    },
+    /// The answer is not wanted any more.
+    QuestionCancelled {
+        /// Which question.
+        id: QuestionId,
+    },
+    /// The instrument has an owner.
+    LeaseTaken {
+        /// Who.
+        owner: String,
+    },
+    /// The instrument has lost its owner.
+    LeaseLost {
+        /// Who it was.
+        owner: String,
+        /// Whether the time ran out; else it was given back.
+        expired: bool,
+    },
+    /// Somebody asked for a stop.
+    StopAsked,
+}
+
+impl Record {
+    /// About what it takes in memory.
+    pub(crate) fn bytes(&self) -> usize {
+        let beyond = match &self.news {
+            News::Procedure(event) => {
+                let more = match &**event {
+                    Event::Iteration { pairs, .. } => size_of_val(&pairs[..]),
+                    Event::Finished { outcome } => size_of_val(&outcome.magnifications[..]),
+                    _ => 0,
+                };
+                size_of::<Event>() + more
+            }
+            _ => 0,
+        };
+        // Names and messages, and what an allocation costs.
+        size_of::<Self>() + beyond + 128
+    }
+}

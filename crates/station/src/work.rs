@@ -1,0 +1,180 @@
+//! A job as it sees itself: a use case that is stepped, and what it may touch.
+
+use crate::job::Core;
+use crate::session::Shared;
+use crate::{Bus, JobError, QuestionKind, StationEvent, lock};
+use scopeservo_scope::{FlatField, Frame, Instrument, Objective, ObjectiveId};
+use scopeservo_servo::{Calibration, Event, FrameRole, Procedure, Progress, Sink, Stamped};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// What any front end can have done: a step machine like the procedures it is made of. Its serialised state is what the journal keeps, and
+/// a use case that is made from it again goes on.
+pub trait UseCase: Serialize + Send + 'static {
+    /// What it answers.
+    type Output: Send + 'static;
+
+    /// A word for programs.
+    fn kind(&self) -> &'static str;
+
+    /// Does the next small piece of work: a step of a procedure.
+    ///
+    /// # Errors
+    /// Where there is no answer.
+    fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<Self::Output>, JobError>;
+}
+
+/// A calibration that a job made.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MadeCalibration {
+    /// The calibration.
+    pub calibration: Calibration,
+    /// Root mean square residual of its views, pixels.
+    pub residual_px: Option<f64>,
+    /// Where the objective was in focus, um.
+    pub focus_z_um: Option<f64>,
+}
+
+/// What a job made that is worth keeping, however it ends.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Kept {
+    /// A calibration.
+    Calibration(Box<MadeCalibration>),
+    /// What lies on the camera, as it was seen last.
+    Shadows(Arc<FlatField>),
+}
+
+/// What a use case may touch.
+pub struct Work<'a> {
+    shared: &'a Shared,
+    core: &'a Core,
+    ears: Ears,
+}
+
+/// Tells all to the bus, and remembers what events alone tell.
+struct Ears {
+    bus: Bus,
+    residual_px: BTreeMap<ObjectiveId, f64>,
+    target: Option<Arc<Frame>>,
+}
+
+impl Sink for Ears {
+    fn event(&mut self, event: Stamped) {
+        if let Event::Calibrated {
+            calibration,
+            residual_px,
+            ..
+        } = &event.event
+        {
+            self.residual_px
+                .insert(calibration.objective.clone(), *residual_px);
+        }
+        self.bus.event(event);
+    }
+    fn frame(&mut self, frame: &Frame, role: FrameRole) {
+        self.shared_frame(&Arc::new(frame.clone()), role);
+    }
+    fn shared_frame(&mut self, frame: &Arc<Frame>, role: FrameRole) {
+        if role == FrameRole::Target {
+            self.target = Some(frame.clone());
+        }
+        self.bus.shared_frame(frame, role);
+    }
+}
+
+impl<'a> Work<'a> {
+    pub(crate) fn new(shared: &'a Shared, core: &'a Core) -> Self {
+        let ears = Ears {
+            bus: shared.bus.clone(),
+            residual_px: BTreeMap::new(),
+            target: None,
+        };
+        Self { shared, core, ears }
+    }
+
+    /// The instrument.
+    pub fn scope(&self) -> &'a Instrument {
+        &self.shared.scope
+    }
+
+    /// Where events and frames go.
+    pub fn sink(&mut self) -> &mut dyn Sink {
+        &mut self.ears
+    }
+
+    /// One step of a procedure. Shadows that it found on the camera are kept.
+    ///
+    /// # Errors
+    /// Those of the step.
+    pub fn step<P: Procedure>(
+        &mut self,
+        procedure: &mut P,
+    ) -> Result<Progress<P::Output>, JobError> {
+        let before = self.scope().flat_field();
+        let ended = procedure.step(self.scope(), &mut self.ears);
+        if let Some(seen) = self.scope().flat_field()
+            && before.is_none_or(|before| !Arc::ptr_eq(&before, &seen))
+        {
+            self.keep(Kept::Shadows(seen));
+        }
+        Ok(ended?)
+    }
+
+    /// Keeps something, however the job ends.
+    pub fn keep(&mut self, kept: Kept) {
+        let info = &self.core.info;
+        if let Err(error) = self.shared.journal.kept(info, &kept) {
+            let why = error.to_string();
+            let event = StationEvent::NotKept { id: info.id, why };
+            self.shared.bus.station(event);
+        }
+        lock(&self.core.kept).push(kept);
+    }
+
+    /// A calibration with what else is known of it; it is kept.
+    pub fn keep_calibration(&mut self, calibration: Calibration) -> MadeCalibration {
+        let objective = &calibration.objective;
+        let focus = self.scope().focus_heights();
+        let made = MadeCalibration {
+            residual_px: self.ears.residual_px.get(objective).copied(),
+            focus_z_um: focus.get(objective).map(|z| z.um()),
+            calibration,
+        };
+        self.keep(Kept::Calibration(Box::new(made.clone())));
+        made
+    }
+
+    /// The last frame that was grabbed as a target.
+    pub fn target_frame(&self) -> Option<Arc<Frame>> {
+        self.ears.target.clone()
+    }
+
+    /// The objective of that name; the one that is in the beam when none is named.
+    ///
+    /// # Errors
+    /// [`JobError::NoObjective`], and what the nosepiece reports.
+    pub fn objective(&self, named: Option<&ObjectiveId>) -> Result<Objective, JobError> {
+        let gate = self.scope().gate();
+        let id = match named {
+            Some(id) => id.clone(),
+            None => gate.current_objective()?.ok_or_else(|| {
+                let names: Vec<_> = gate.objectives().iter().map(|o| o.id.0.as_str()).collect();
+                let available = names.join(", ");
+                JobError::NoObjective { available }
+            })?,
+        };
+        Ok(self.scope().objective(&id)?.clone())
+    }
+
+    /// Asks somebody, and waits for the answer.
+    ///
+    /// # Errors
+    /// [`JobError::Stopped`] when a stop came first.
+    pub fn ask(&mut self, kind: QuestionKind) -> Result<bool, JobError> {
+        let wanted = || !self.core.cancel.is_cancelled();
+        let answer = self.shared.questions.ask(kind, &wanted);
+        self.scope().check_cancel()?;
+        answer.ok_or(JobError::Stopped { at: None })
+    }
+}
