@@ -123,6 +123,11 @@ impl Answer {
         self.state().object(None)
     }
 
+    /// The same with the error that ended the command.
+    pub(crate) fn object_with(&self, error: &CliError) -> Value {
+        self.state().object(Some(error))
+    }
+
     /// Tells how the command ended, once. Returns the exit code.
     pub(crate) fn end(&self, ended: Result<bool, CliError>) -> u8 {
         let mut state = self.state();

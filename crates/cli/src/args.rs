@@ -48,6 +48,10 @@ pub(crate) enum Command {
     Target(TargetCommand),
     /// Bring the instrument back to a saved view.
     Reposition(RepositionArgs),
+    /// Go on with the job that was under way when the program was killed.
+    Resume(ResumeArgs),
+    /// End the job that was under way when the program was killed.
+    Abandon(AbandonArgs),
     /// Drivers: programs of yours that speak for devices.
     #[command(subcommand)]
     Driver(DriverCommand),
@@ -65,6 +69,8 @@ impl Command {
             Self::Doctor(args) => args.json,
             Self::Calibrate(args) => args.json,
             Self::Focus(args) => args.json,
+            Self::Resume(args) => args.json,
+            Self::Abandon(args) => args.json,
             Self::Stage(StageCommand::Go(args)) => args.json,
             Self::Target(TargetCommand::Save(args)) => args.json,
             Self::Target(TargetCommand::List(args)) => args.json,

@@ -2,11 +2,20 @@
 
 use crate::answer::Answer;
 use crate::args::InstrumentArgs;
-use crate::error::CliError;
-use scopeservo_library::{Cameras as _, Folder};
-use scopeservo_scope::{CancelToken, Instrument, Objective, ObjectiveId};
+use crate::error::{CliError, Code};
+use crate::journal::{self, Asked, FileJournal, Made};
+use crate::progress::Watcher;
+use scopeservo_library::{
+    Cameras as _, Folder, Journal as _, Journalled, RunHead, RunLog, Runs as _,
+};
+use scopeservo_scope::{CancelToken, Frame, GateEvent, Instrument, Objective};
+use scopeservo_servo::{FrameRole, Sink as _, Stamped};
 use scopeservo_setup::{Config, Consent, Opened, open};
+use scopeservo_station::{
+    Bus, JobState, Lease, News, Parts, Record, Session, StationEvent, UseCase,
+};
 use std::io::{BufRead, IsTerminal};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 use std::time::Duration;
@@ -14,9 +23,15 @@ use std::time::Duration;
 /// What a command works at.
 pub(crate) struct Desk {
     pub(crate) config: Config,
-    pub(crate) library: Folder,
+    pub(crate) library: Arc<Folder>,
     pub(crate) scope: Arc<Instrument>,
     pub(crate) drivers: Vec<(String, String)>,
+    session: Session,
+    lease: Lease,
+    journal: Arc<FileJournal>,
+    told: Receiver<Told>,
+    /// Frames that were told and not taken yet.
+    waiting: Arc<AtomicUsize>,
 }
 
 /// What Ctrl-C stops; nothing until an instrument is there.
@@ -77,7 +92,7 @@ pub(crate) fn rein_in(cancel: &CancelToken, answer: &Answer) -> Reins {
 impl Desk {
     pub(crate) fn open(args: &InstrumentArgs, answer: &Answer) -> Result<Self, CliError> {
         let config = Config::read(&args.description.config)?;
-        let library = Folder::new(config.resolve(&config.data_folder));
+        let library = Arc::new(Folder::new(config.resolve(&config.data_folder)));
         let cancel = CancelToken::new();
         let reins = rein_in(&cancel, answer);
         let consent = Consent {
@@ -95,32 +110,163 @@ impl Desk {
         let info = scope.camera().info();
         let seen = library.shadows(&config.name, [info.width, info.height]);
         scope.set_flat_field(answer.or_warn(seen).flatten().map(Arc::new));
+        let journal = Arc::new(FileJournal::new(&library, &config.name, &scope));
+        let parts = Parts {
+            journal: journal.clone(),
+            ..Parts::default()
+        };
+        let waiting = Arc::default();
+        let told = listen(&parts.bus, &journal, &waiting);
+        let session = Session::new(scope.clone(), parts);
+        let lease = session
+            .take_lease("scopeservo", None)
+            .map_err(|e| CliError::Internal(e.to_string()))?;
         Ok(Self {
             config,
             library,
             scope,
             drivers,
+            session,
+            lease,
+            journal,
+            told,
+            waiting,
         })
     }
 
-    /// The objective of that name; the one that is in the beam when none is named.
-    pub(crate) fn objective(&self, name: Option<&str>) -> Result<Objective, CliError> {
-        let id = match name {
-            Some(name) => ObjectiveId(name.into()),
-            None => self.scope.gate().current_objective()?.ok_or_else(|| {
-                CliError::Usage(format!(
-                    "nobody knows which objective is in the beam: name one with --objective. There are {}",
-                    names(&self.scope)
-                ))
-            })?,
+    /// Whether nothing that was killed waits to go on; else an error tells where things stand.
+    pub(crate) fn check_nothing_waits(&self) -> Result<(), CliError> {
+        match self.library.journal(&self.config.name)? {
+            None => Ok(()),
+            Some(left) => Err(CliError::Unfinished(journal::standing(&left, &self.scope))),
+        }
+    }
+
+    /// Tells what waits to go on, where that is no obstacle.
+    pub(crate) fn tell_what_waits(&self, answer: &Answer) {
+        if let Err(waits) = self.check_nothing_waits() {
+            answer.warn(waits.code(), waits);
+        }
+    }
+
+    /// What a killed program left.
+    pub(crate) fn left(&self) -> Result<Option<Journalled>, CliError> {
+        Ok(self.library.journal(&self.config.name)?)
+    }
+
+    /// Runs a job to its end, shows what it does, and keeps its record.
+    pub(crate) fn run<U: UseCase>(
+        &self,
+        case: U,
+        asked: Asked,
+        watcher: &mut Watcher,
+        answer: &Answer,
+    ) -> Result<Ran<U::Output>, CliError> {
+        let head = RunHead {
+            job: case.kind().into(),
+            instrument: self.config.name.clone(),
+            version: format!("scopeservo {}", env!("CARGO_PKG_VERSION")),
+            inputs: asked.inputs.clone(),
         };
-        Ok(self.scope.objective(&id)?.clone())
+        self.journal.comes(case.kind(), asked);
+        let mut record = answer.or_warn(self.library.begin_run(&head));
+        let job = self.session.start(&self.lease, case);
+        let job = job.map_err(|e| CliError::Internal(e.to_string()))?;
+        let id = job.handle().id();
+        loop {
+            let told = match self.told.recv_timeout(LOOK) {
+                Ok(told) => told,
+                Err(RecvTimeoutError::Timeout) => match job.state() {
+                    JobState::Ended(_) => break,
+                    _ => continue,
+                },
+                Err(RecvTimeoutError::Disconnected) => break,
+            };
+            match told {
+                Told::Frame(frame, role) => {
+                    self.waiting.fetch_sub(1, Ordering::SeqCst);
+                    watcher.frame(&frame, role);
+                }
+                Told::Event(news) => {
+                    if let (Some(record), Ok(line)) = (&mut record, serde_json::to_string(&*news)) {
+                        record.event(&line);
+                    }
+                    match &news.news {
+                        News::Procedure(event) => watcher.event(Stamped {
+                            time_s: news.time_s,
+                            event: (**event).clone(),
+                        }),
+                        News::Station(StationEvent::NotKept { why, .. }) => {
+                            answer.warn(Code::NotKept, why);
+                        }
+                        News::Station(StationEvent::JobEnded { id: ended, .. }) if *ended == id => {
+                            break;
+                        }
+                        _ => {}
+                    }
+                }
+            }
+        }
+        watcher.finish();
+        Ok(Ran {
+            output: job.wait().map_err(CliError::from),
+            made: self.journal.made(),
+            record,
+        })
     }
 }
 
-fn names(scope: &Instrument) -> String {
-    let all = scope.gate().objectives().iter();
-    all.map(|o| o.id.0.as_str()).collect::<Vec<_>>().join(", ")
+/// What a job came to.
+pub(crate) struct Ran<T> {
+    pub(crate) output: Result<T, CliError>,
+    /// What it made on the way, however it ended, and where that is kept.
+    pub(crate) made: Vec<Made>,
+    record: Option<Box<dyn RunLog>>,
+}
+
+impl<T> Ran<T> {
+    /// Keeps the answer as it stands, and the page, with the record of the run.
+    pub(crate) fn end(mut self, page: Option<&str>, answer: &Answer) -> Result<T, CliError> {
+        if let Some(record) = &mut self.record {
+            if let Some(page) = page {
+                answer.or_warn(record.attach("report.html", page.as_bytes()));
+            }
+            let object = match &self.output {
+                Ok(_) => answer.object(),
+                Err(error) => answer.object_with(error),
+            };
+            answer.or_warn(record.end(&object));
+        }
+        self.output
+    }
+}
+
+/// What comes from the job's thread.
+enum Told {
+    Event(Arc<Record>),
+    Frame(Arc<Frame>, FrameRole),
+}
+
+/// So many frames wait to be shown at most: what comes while they do is not shown.
+const FRAMES: usize = 16;
+
+/// Hands on all events, and frames as far as they are taken; the target is never left out.
+fn listen(bus: &Bus, journal: &Arc<FileJournal>, waiting: &Arc<AtomicUsize>) -> Receiver<Told> {
+    let (tell, told) = mpsc::channel();
+    let (frames, goes, waiting) = (tell.clone(), journal.clone(), waiting.clone());
+    bus.keep(Arc::new(move |record| {
+        if let News::Gate(GateEvent::MoveAsked { to }) = &record.news {
+            goes.goes(to);
+        }
+        let _ = tell.send(Told::Event(record.clone()));
+    }));
+    bus.keep_frames(Arc::new(move |frame, role| {
+        if role == FrameRole::Target || waiting.load(Ordering::SeqCst) < FRAMES {
+            waiting.fetch_add(1, Ordering::SeqCst);
+            let _ = frames.send(Told::Frame(frame.clone(), role));
+        }
+    }));
+    told
 }
 
 /// Lines typed at the terminal. One reader for all questions: one that was given up would otherwise eat the answer to the next.

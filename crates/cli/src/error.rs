@@ -6,6 +6,7 @@ use scopeservo_scope::{ErrorKind, Remedy, ScopeError};
 use scopeservo_servo::ServoError;
 use scopeservo_setup::SetupError;
 use scopeservo_slide::SlideError;
+use scopeservo_station::JobError;
 use serde::Serialize;
 use std::io;
 use std::path::PathBuf;
@@ -38,6 +39,14 @@ pub(crate) enum CliError {
     },
     #[error(transparent)]
     Library(#[from] LibraryError),
+    /// A job was killed, and waits.
+    #[error(
+        "{0}. `scopeservo resume` goes on with it, `scopeservo abandon` ends it; nothing moved"
+    )]
+    Unfinished(String),
+    /// It cannot go on.
+    #[error("{0}; nothing moved. `scopeservo abandon` ends the job")]
+    CannotResume(String),
     #[error(transparent)]
     Setup(#[from] SetupError),
     #[error("{path} cannot be read: {what}")]
@@ -64,6 +73,23 @@ impl From<ScopeError> for CliError {
     }
 }
 
+impl From<JobError> for CliError {
+    fn from(error: JobError) -> Self {
+        match error {
+            JobError::Stopped { at } => Self::Servo(ScopeError::Interrupted { at }.into()),
+            JobError::Procedure(error) => Self::Servo(error),
+            JobError::NoObjective { available } => Self::Usage(format!(
+                "nobody knows which objective is in the beam: name one with --objective. There are {available}"
+            )),
+            JobError::Journal(_) => Self::Library(LibraryError::NotKept {
+                path: "journal".into(),
+                what: error.to_string(),
+            }),
+            error => Self::Internal(error.to_string()),
+        }
+    }
+}
+
 /// The code words of errors and warnings, for programs. Stable: added to, never renamed. `docs/answers.md` explains each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
@@ -77,6 +103,7 @@ pub(crate) enum Code {
     Damaged,
     Refused,
     InUse,
+    Unfinished,
     NoFocus,
     CalibrationFailed,
     WrongObjective,
@@ -104,6 +131,7 @@ impl Code {
             | Self::Damaged => 2,
             Self::Refused
             | Self::InUse
+            | Self::Unfinished
             | Self::NoFocus
             | Self::CalibrationFailed
             | Self::WrongObjective
@@ -145,6 +173,7 @@ impl CliError {
             Self::Slide(_) | Self::Specimen(_) | Self::TooSmall { .. } => Code::BadImage,
             Self::CannotWrite { .. } => Code::CannotWrite,
             Self::Library(error) => library_code(error),
+            Self::Unfinished(_) | Self::CannotResume(_) => Code::Unfinished,
             Self::Read { .. } => Code::CannotRead,
             Self::Setup(error) => setup_code(error),
             Self::Servo(error) => servo_code(error),

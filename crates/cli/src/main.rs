@@ -7,12 +7,14 @@
 mod answer;
 mod args;
 mod bench;
+mod commands;
 mod demo;
 mod desk;
 mod doctor;
 mod driver_check;
 mod error;
 mod init;
+mod journal;
 mod output;
 mod progress;
 mod register;
@@ -23,7 +25,6 @@ mod threads;
 mod trial;
 mod twin_serve;
 mod views;
-mod work;
 
 use answer::Answer;
 use args::{Cli, Command, DriverCommand, StageCommand, TargetCommand, TwinCommand};
@@ -63,14 +64,16 @@ fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
         Command::Register(args) => register::run(&args, answer),
         Command::Init(args) => init::run(&args, answer),
         Command::Doctor(args) => doctor::run(&args, answer),
-        Command::Calibrate(args) => work::calibrate(&args, answer),
-        Command::Focus(args) => work::focus(&args, answer),
+        Command::Calibrate(args) => commands::calibrate(&args, answer),
+        Command::Focus(args) => commands::focus(&args, answer),
         Command::Stage(StageCommand::Go(args)) => stage::go(&args, answer),
-        Command::Target(TargetCommand::Save(args)) => work::save_target(&args, answer),
+        Command::Target(TargetCommand::Save(args)) => commands::save_target(&args, answer),
         Command::Target(TargetCommand::List(args)) => targets::list_targets(&args, answer),
         Command::Target(TargetCommand::Export(args)) => targets::export_target(&args, answer),
         Command::Target(TargetCommand::Import(args)) => targets::import_target(&args, answer),
-        Command::Reposition(args) => work::reposition(&args, answer),
+        Command::Reposition(args) => commands::reposition(&args, answer),
+        Command::Resume(args) => commands::resume(&args, answer),
+        Command::Abandon(args) => commands::abandon(&args, answer),
         Command::Driver(DriverCommand::Check(args)) => driver_check::run(&args, answer),
         Command::Twin(TwinCommand::Serve(args)) => twin_serve::run(&args),
     }

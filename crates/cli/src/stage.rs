@@ -36,6 +36,7 @@ pub(crate) fn go(args: &StageGoArgs, answer: &Answer) -> Result<bool, CliError> 
         )));
     }
     let desk = Desk::open(&args.instrument, answer)?;
+    desk.tell_what_waits(answer);
     let gate = desk.scope.gate();
     let from = gate.position()?;
     let bar = ProgressBar::new_spinner();

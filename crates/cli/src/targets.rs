@@ -2,8 +2,8 @@
 
 use crate::answer::Answer;
 use crate::args::{TargetExportArgs, TargetImportArgs, TargetListArgs};
+use crate::commands::library_of;
 use crate::error::CliError;
-use crate::work::library_of;
 use scopeservo_library::Targets as _;
 use serde_json::json;
 

@@ -12,12 +12,15 @@ use scopeservo_scope::{ObjectiveId, StagePose};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
-use std::fs;
+use std::fs::{self, OpenOptions};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// A longer string of a state is a file of its own.
 const LONG: usize = 1024;
 const BLOB: &str = "$blob";
+/// Where the stage was sent since the last step, a line each.
+const GOALS: &str = "goals.jsonl";
 
 /// The job under way.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -43,8 +46,6 @@ pub struct JournalStep {
     pub homed: bool,
     /// The objective in the beam.
     pub objective: Option<ObjectiveId>,
-    /// Where things stand, in a few words.
-    pub doing: String,
     /// The state of the procedure.
     pub state: Value,
 }
@@ -56,6 +57,8 @@ pub struct Journalled {
     pub head: JournalHead,
     /// Its last step; `None` when it did not come to one.
     pub step: Option<JournalStep>,
+    /// Where the stage was sent since.
+    pub goals: Vec<StagePose>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -78,6 +81,12 @@ pub trait Journal {
     /// # Errors
     /// [`LibraryError::NotKept`].
     fn journal_step(&self, instrument: &str, step: &JournalStep) -> Result<usize, LibraryError>;
+
+    /// Adds a place where the stage is about to be sent. It need not outlive a power cut, after which the stage stands anyway.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotKept`].
+    fn journal_goal(&self, instrument: &str, to: &StagePose) -> Result<(), LibraryError>;
 
     /// The job has ended.
     ///
@@ -133,7 +142,21 @@ impl Journal for Folder {
         let bytes = serde_json::to_vec(&kept).map_err(|e| LibraryError::Encode(e.to_string()))?;
         let file = folder.join("state.json");
         files::renew(&file, &bytes).map_err(LibraryError::not_kept(&file))?;
+        // Only now: goals of the step before do no harm to this one.
+        let goals = folder.join(GOALS);
+        if goals.exists() {
+            fs::write(&goals, "").map_err(LibraryError::not_kept(&goals))?;
+        }
         Ok(written + bytes.len())
+    }
+
+    fn journal_goal(&self, instrument: &str, to: &StagePose) -> Result<(), LibraryError> {
+        let file = self.journal_of(instrument).join(GOALS);
+        let line = serde_json::to_string(to).map_err(|e| LibraryError::Encode(e.to_string()))?;
+        let opened = OpenOptions::new().create(true).append(true).open(&file);
+        opened
+            .and_then(|mut f| f.write_all(format!("{line}\n").as_bytes()))
+            .map_err(LibraryError::not_kept(&file))
     }
 
     fn end_journal(&self, instrument: &str) -> Result<(), LibraryError> {
@@ -165,7 +188,16 @@ impl Journal for Folder {
             let state = with_long(what.state, &folder)?;
             step = Some(JournalStep { state, ..what });
         }
-        Ok(Some(Journalled { head, step }))
+        let goals = match fs::read_to_string(folder.join(GOALS)) {
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
+            text => text.map_err(LibraryError::read(&folder))?,
+        };
+        // A last line that is cut off was never sent.
+        let goals = goals
+            .lines()
+            .filter_map(|l| serde_json::from_str(l).ok())
+            .collect();
+        Ok(Some(Journalled { head, step, goals }))
     }
 }
 
@@ -238,7 +270,6 @@ mod tests {
             stage: StagePose::default(),
             homed: true,
             objective: Some(ObjectiveId("20x".into())),
-            doing: "servo at 200x".into(),
             state: json!({"iteration": n, "reference": "f".repeat(100_000), "short": "abc"}),
         }
     }
@@ -252,8 +283,13 @@ mod tests {
         assert_eq!(folder.journal("lab").unwrap().unwrap().step, None);
         assert!(folder.journal_step("lab", &step(1)).unwrap() > 100_000);
         assert!(folder.journal_step("lab", &step(2)).unwrap() < 1000);
+        let goal = StagePose::default().with_si(scopeservo_scope::Axis::X, 1e-5);
+        folder.journal_goal("lab", &goal).unwrap();
         let back = folder.journal("lab").unwrap().unwrap();
         assert_eq!((back.head, back.step), (head(), Some(step(2))));
+        assert_eq!(back.goals, [goal]);
+        folder.journal_step("lab", &step(3)).unwrap();
+        assert_eq!(folder.journal("lab").unwrap().unwrap().goals, []);
         assert_eq!(folder.journal("other").unwrap(), None);
         folder.end_journal("lab").unwrap();
         assert_eq!(folder.journal("lab").unwrap(), None);

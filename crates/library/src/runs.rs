@@ -4,7 +4,6 @@ use crate::LibraryError;
 use crate::files::{self, make_folder};
 use crate::folder::{Folder, SCHEMA, entries, to_json};
 use crate::names::{file_name, number_of, utc};
-use scopeservo_servo::Stamped;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::fs::{self, File};
@@ -53,8 +52,8 @@ pub trait RunLog: Send {
     /// Where it lies.
     fn place(&self) -> &Path;
 
-    /// Adds an event. What cannot be written is told at the end, and keeps nothing up.
-    fn event(&mut self, event: &Stamped);
+    /// Adds an event, as JSON on one line. What cannot be written is told at the end, and keeps nothing up.
+    fn event(&mut self, line: &str);
 
     /// Adds a file, such as a report.
     ///
@@ -128,16 +127,11 @@ impl RunLog for Record {
         &self.folder
     }
 
-    fn event(&mut self, event: &Stamped) {
+    fn event(&mut self, line: &str) {
         let file = self.folder.join("events.jsonl");
-        let line = serde_json::to_string(event).map_err(|e| LibraryError::Encode(e.to_string()));
-        let written = line.and_then(|line| {
-            let whole = format!("{line}\n");
-            let all = self.events.write_all(whole.as_bytes());
-            all.map_err(LibraryError::not_kept(&file))
-        });
+        let written = self.events.write_all(format!("{line}\n").as_bytes());
         if let (Err(error), None) = (written, &self.lost) {
-            self.lost = Some(error);
+            self.lost = Some(LibraryError::not_kept(&file)(error));
         }
     }
 
@@ -160,7 +154,6 @@ impl RunLog for Record {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use scopeservo_servo::Event;
     use serde_json::json;
 
     #[test]
@@ -175,12 +168,8 @@ mod tests {
         };
         for n in 1..=3 {
             let mut run = folder.begin_run(&head).unwrap();
-            let event = Stamped {
-                time_s: 1.5,
-                event: Event::ShadowsFound { shadows: n },
-            };
-            run.event(&event);
-            run.event(&event);
+            run.event(&json!({"event": n}).to_string());
+            run.event("{}");
             run.end(&json!({"verdict": "arrived"})).unwrap();
         }
         let runs = folder.runs().unwrap();
@@ -189,12 +178,7 @@ mod tests {
             [1, 2, 3]
         );
         let events = fs::read_to_string(runs[2].join("events.jsonl")).unwrap();
-        let lines: Vec<Stamped> = events
-            .lines()
-            .map(|l| serde_json::from_str(l).unwrap())
-            .collect();
-        assert_eq!(lines.len(), 2);
-        assert_eq!(lines[0].event, Event::ShadowsFound { shadows: 3 });
+        assert_eq!(events, "{\"event\":3}\n{}\n");
         let asked: Value =
             serde_json::from_slice(&fs::read(runs[0].join("run.json")).unwrap()).unwrap();
         assert_eq!(asked["inputs"]["target"], "mitosis-3");

@@ -310,6 +310,7 @@ impl MotionGate {
     /// [`ScopeError::NotHomed`], [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report. Unless it is one of the stage's
     /// own faults, nothing moved.
     pub fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
+        self.tell(|| GateEvent::MoveAsked { to: *to });
         let begun = self.begin_move(to);
         self.tell(|| match &begun {
             Ok(()) => GateEvent::MoveBegan { to: *to },

@@ -8,6 +8,11 @@ use std::sync::Arc;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum GateEvent {
+    /// A move is about to begin, or to be refused: told before, so that a journal knows where the stage may be going.
+    MoveAsked {
+        /// The axes that are asked for.
+        to: StagePose,
+    },
     /// A move began.
     MoveBegan {
         /// The axes that were asked for.
@@ -49,6 +54,6 @@ pub enum GateEvent {
     },
 }
 
-/// Is told of every command after it was answered, on the thread that gave it. It must come back at once, and must not ask the gate
+/// Is told of every command before and after it was answered, on the thread that gave it. It must come back at once, and must not ask the gate
 /// for a motion.
 pub type Observer = Arc<dyn Fn(GateEvent) + Send + Sync>;

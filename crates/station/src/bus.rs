@@ -25,6 +25,9 @@ pub const LOG_BYTES: usize = 512 << 10;
 /// encode nor write it there, and publish nothing.
 pub type Keeper = Arc<dyn Fn(&Arc<Record>) + Send + Sync>;
 
+/// Is handed every frame, as a [`Keeper`] is every event. Who keeps frames bounds how many.
+pub type FrameKeeper = Arc<dyn Fn(&Arc<Frame>, FrameRole) + Send + Sync>;
+
 /// The way from a session to those who listen. Clones are the same bus.
 #[derive(Clone)]
 pub struct Bus(Arc<Shared>);
@@ -34,6 +37,7 @@ struct Shared {
     news: Condvar,
     /// Held while an event is told, so that the keeper hears all in order.
     keeper: Mutex<Option<Keeper>>,
+    frame_keeper: Mutex<Option<FrameKeeper>>,
     /// Listeners who have asked for a frame.
     watching: AtomicUsize,
     /// Whose clock the time is of.
@@ -96,6 +100,7 @@ impl Bus {
             }),
             news: Condvar::new(),
             keeper: Mutex::new(None),
+            frame_keeper: Mutex::new(None),
             watching: AtomicUsize::new(0),
             instrument: OnceLock::new(),
         }))
@@ -104,6 +109,11 @@ impl Bus {
     /// From now on every event is also handed to `keeper`.
     pub fn keep(&self, keeper: Keeper) {
         *lock(&self.0.keeper) = Some(keeper);
+    }
+
+    /// From now on every frame is also handed to `keeper`.
+    pub fn keep_frames(&self, keeper: FrameKeeper) {
+        *lock(&self.0.frame_keeper) = Some(keeper);
     }
 
     /// Who hears what comes from now on.
@@ -141,6 +151,9 @@ impl Bus {
 
     /// Shows a frame.
     pub fn show(&self, frame: &Arc<Frame>, role: FrameRole) {
+        if let Some(keep) = &*lock(&self.0.frame_keeper) {
+            keep(frame, role);
+        }
         let mut log = lock(&self.0.log);
         log.frames += 1;
         if self.0.watching.load(Ordering::SeqCst) > 0 {

@@ -19,7 +19,7 @@ mod question;
 mod session;
 mod work;
 
-pub use bus::{Bus, Heard, Keeper, LOG_BYTES, Listener, Shown};
+pub use bus::{Bus, FrameKeeper, Heard, Keeper, LOG_BYTES, Listener, Shown};
 pub use error::{JobError, Refusal};
 pub use job::{Ended, Job, JobHandle, JobId, JobInfo, JobState, Pause};
 pub use journal::{Journal, JournalError, MemoryJournal, NoJournal};

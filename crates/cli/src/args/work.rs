@@ -1,6 +1,6 @@
 //! What is asked of an instrument: to move, focus, calibrate and come back.
 
-use super::InstrumentArgs;
+use super::{ConfigArgs, InstrumentArgs};
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
 
@@ -119,6 +119,37 @@ pub(crate) struct RepositionArgs {
     /// Folder for the report; that of an earlier run there is replaced.
     #[arg(long, value_name = "DIR", default_value = "scopeservo-run")]
     pub(crate) out: PathBuf,
+    /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo resume
+  scopeservo resume --out run --json
+
+Every job keeps a journal. When its program is killed, the job can go on from the step where it was, unless the stage was moved
+meanwhile. Until then no other job begins.")]
+pub(crate) struct ResumeArgs {
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// Folder for the report; that of an earlier run there is replaced.
+    #[arg(long, value_name = "DIR", default_value = "scopeservo-run")]
+    pub(crate) out: PathBuf,
+    /// Print one JSON object on stdout instead of the summary.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo abandon
+
+Nothing moves: the stage stays where it was left.")]
+pub(crate) struct AbandonArgs {
+    #[command(flatten)]
+    pub(crate) description: ConfigArgs,
     /// Print one JSON object on stdout instead of the summary.
     #[arg(long)]
     pub(crate) json: bool,

@@ -1,0 +1,118 @@
+//! `scopeservo calibrate`.
+
+use super::library_of;
+use crate::answer::Answer;
+use crate::args::CalibrateArgs;
+use crate::desk::Desk;
+use crate::error::CliError;
+use crate::journal::{Asked, Made};
+use crate::output::calibration as calibration_json;
+use crate::progress::Watcher;
+use scopeservo_library::Calibrations as _;
+use scopeservo_scope::{Objective, ObjectiveId};
+use scopeservo_servo::{Calibration, FocusOptions};
+use scopeservo_station::jobs::{CalibrateInput, CalibrateJob};
+use serde_json::json;
+use std::path::Path;
+
+pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, CliError> {
+    // Before anything moves, and before it is opened.
+    library_of(&args.instrument.description)?.try_calibrations(&[])?;
+    let desk = Desk::open(&args.instrument, answer)?;
+    desk.check_nothing_waits()?;
+    let named = args.objective.iter().cloned().map(ObjectiveId);
+    let objectives: Vec<ObjectiveId> = named.collect();
+    let wanted = |o: &&Objective| objectives.is_empty() || objectives.contains(&o.id);
+    let all = desk.scope.gate().objectives().iter();
+    let wanted: Vec<Objective> = all.filter(wanted).cloned().collect();
+    for named in &objectives {
+        desk.scope.objective(named)?;
+    }
+    desk.library.try_calibrations(&wanted)?;
+    let input = CalibrateInput {
+        objectives,
+        focus: (!args.no_focus).then(FocusOptions::default),
+        ..CalibrateInput::default()
+    };
+    let asked = Asked {
+        inputs: json!(input),
+        target: None,
+    };
+    run(&desk, CalibrateJob::new(input), asked, answer)
+}
+
+/// Runs the job, from its beginning or from where it was.
+pub(super) fn run(
+    desk: &Desk,
+    job: CalibrateJob,
+    asked: Asked,
+    answer: &Answer,
+) -> Result<bool, CliError> {
+    answer.put(json!({"calibrations": []}));
+    let ran = desk.run(job, asked, &mut Watcher::new(None), answer)?;
+    show_made(answer, &ran.made);
+    ran.end(None, answer).map(|_| true)
+}
+
+/// What was measured, and where it is kept.
+pub(super) fn show_made(answer: &Answer, made: &[Made]) {
+    for Made { calibration, file } in made {
+        let made = calibration;
+        show_calibration(answer, &made.calibration, made.residual_px);
+        if let Some(file) = file {
+            say!(answer, "  kept in {}", file.display());
+        }
+        let entry = json!({
+            "objective": made.calibration.objective,
+            "file": file.as_deref().map(Path::to_string_lossy),
+            "focus_z_um": made.focus_z_um,
+            "residual_px": made.residual_px,
+            "calibration": calibration_json(&made.calibration),
+        });
+        answer.push("calibrations", entry);
+    }
+}
+
+fn show_calibration(answer: &Answer, calibration: &Calibration, residual_px: Option<f64>) {
+    let sigma = calibration.covariance.map(|c| {
+        // The relative standard deviation of the first column's length, to first order along x.
+        let [[a, _], [b, _]] = calibration.stage_from_pixel.0;
+        let length_sq = a * a + b * b;
+        let gradient = [a / length_sq, 0.0, b / length_sq, 0.0];
+        let mut variance = 0.0;
+        for i in 0..4 {
+            for j in 0..4 {
+                variance += gradient[i] * c[i][j] * gradient[j];
+            }
+        }
+        100.0 * variance.max(0.0).sqrt()
+    });
+    say!(
+        answer,
+        "{}: {:.4} um per pixel{}{}",
+        calibration.objective,
+        calibration.um_per_px(),
+        sigma.map_or(String::new(), |s| format!(" (+-{s:.2} %)")),
+        residual_px.map_or(String::new(), |r| format!(", views fit to {r:.2} px"))
+    );
+    if let Some(r) = calibration.reading() {
+        say!(
+            answer,
+            "  kx {:.0}, ky {:.0} pixels per metre, camera turned {:.3} deg against the stage",
+            r.kx_px_per_m,
+            r.ky_px_per_m,
+            r.phi_rad.to_degrees()
+        );
+    } else {
+        say!(answer, "  the picture is mirrored against the stage");
+    }
+    match calibration.rotation_centre_m {
+        Some(eta) => say!(
+            answer,
+            "  the view lies {:.3}, {:.3} mm from the axis of rotation",
+            eta[0] * 1e3,
+            eta[1] * 1e3
+        ),
+        None => say!(answer, "  the stage does not turn"),
+    }
+}

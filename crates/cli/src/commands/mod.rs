@@ -1,0 +1,39 @@
+//! The commands that work with an instrument: what the user asked becomes a job of the station, and its answer words.
+
+mod calibrate;
+mod focus;
+mod reposition;
+mod resume;
+mod save_target;
+
+pub(crate) use calibrate::calibrate;
+pub(crate) use focus::focus;
+pub(crate) use reposition::reposition;
+pub(crate) use resume::{abandon, resume};
+pub(crate) use save_target::save_target;
+
+use crate::answer::Answer;
+use crate::args::ConfigArgs;
+use crate::desk::Desk;
+use crate::error::CliError;
+use scopeservo_library::{Calibrations as _, Folder};
+use scopeservo_servo::Calibration;
+use scopeservo_setup::Config;
+
+/// Where the instrument's calibrations and targets are kept.
+pub(crate) fn library_of(description: &ConfigArgs) -> Result<Folder, CliError> {
+    let config = Config::read(&description.config)?;
+    Ok(Folder::new(config.resolve(&config.data_folder)))
+}
+
+/// The calibrations that this instrument and camera made. One that is damaged is measured again on the way.
+fn known_calibrations(desk: &Desk, answer: &Answer) -> Vec<Calibration> {
+    let info = desk.scope.camera().info();
+    let size_px = [info.width, info.height];
+    let objectives = desk.scope.gate().objectives().iter();
+    let kept = objectives.filter_map(|o| answer.or_warn(desk.library.calibration(o)).flatten());
+    // Of another instrument or camera, or another mode of it, it is of no use.
+    kept.filter(|k| k.calibration.image_size_px == size_px && k.instrument == desk.config.name)
+        .map(|k| k.calibration)
+        .collect()
+}

@@ -1,0 +1,189 @@
+//! `scopeservo reposition`.
+
+use super::known_calibrations;
+use crate::answer::Answer;
+use crate::args::RepositionArgs;
+use crate::demo::check_servo;
+use crate::desk::{Desk, Ran};
+use crate::error::{CliError, Code};
+use crate::journal::Asked;
+use crate::output;
+use crate::progress::Watcher;
+use crate::views::{keep_report, try_out};
+use scopeservo_library::{Folder, KeptTarget, Targets as _};
+use scopeservo_report as report;
+use scopeservo_scope::Axis;
+use scopeservo_servo::{FrameRole, Outcome, RepositionOptions, ServoOptions, Sink as _, Verdict};
+use scopeservo_setup::Config;
+use scopeservo_station::jobs::{RepositionInput, RepositionJob, RepositionOutput};
+use serde_json::json;
+use std::path::Path;
+use std::time::Instant;
+
+pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool, CliError> {
+    check_servo(args.lambda, args.max_iterations)?;
+    // What can be wrong without the instrument is found before it is touched.
+    let config = Config::read(&args.instrument.description.config)?;
+    let kept = Folder::new(config.resolve(&config.data_folder)).target(&args.name)?;
+    let foreign_um_per_px = match kept.instrument == config.name {
+        true => None,
+        false => Some(foreign_scale(&args.name, &kept, &config, answer)?),
+    };
+    try_out(&args.out)?;
+    let desk = Desk::open(&args.instrument, answer)?;
+    desk.check_nothing_waits()?;
+    let servo = ServoOptions {
+        lambda: args.lambda,
+        max_iterations: args.max_iterations,
+        ..ServoOptions::default()
+    };
+    let input = RepositionInput {
+        target_id: kept.id.clone(),
+        options: RepositionOptions {
+            servo,
+            ..RepositionOptions::default()
+        },
+        foreign_um_per_px,
+        known: match args.calibrate {
+            true => Vec::new(),
+            false => known_calibrations(&desk, answer),
+        },
+    };
+    let asked = Asked {
+        inputs: json!({"name": args.name, "options": input.options}),
+        target: Some([args.name.clone(), kept.id]),
+    };
+    let job = RepositionJob::new(kept.target, input);
+    run(&desk, &args.name, job, asked, &args.out, answer)
+}
+
+/// Runs the job, from its beginning or from where it was.
+pub(super) fn run(
+    desk: &Desk,
+    name: &str,
+    job: RepositionJob,
+    asked: Asked,
+    out: &Path,
+    answer: &Answer,
+) -> Result<bool, CliError> {
+    let started = Instant::now();
+    let options: ServoOptions =
+        serde_json::from_value(asked.inputs["options"]["servo"].clone()).unwrap_or_default();
+    let mut watcher = Watcher::new(None);
+    if let Some(picture) = desk.library.target_picture(name) {
+        watcher.frame(&picture, FrameRole::Target);
+    }
+    let ran = desk.run(job, asked, &mut watcher, answer)?;
+    let seconds = started.elapsed().as_secs_f64();
+    if let Ok(output) = &ran.output {
+        show(desk, name, output, seconds, answer);
+    }
+    keep(desk, name, ran, &watcher, (&options, seconds), out, answer)
+}
+
+fn show(desk: &Desk, name: &str, output: &RepositionOutput, seconds: f64, answer: &Answer) {
+    let RepositionOutput {
+        outcome, counters, ..
+    } = output;
+    answer.put(json!({
+        "verdict": outcome.verdict,
+        "reason": outcome.reason,
+        "message": outcome.message,
+        "target": name,
+        "estimated_error_um": outcome.estimated_error_um,
+        "estimated_error_deg": outcome.estimated_error_deg,
+        "unique_within_um": outcome.unique_within_um,
+        "moves": counters.moves,
+        "frames": counters.frames,
+        "objective_changes": counters.objective_changes,
+        "seconds": seconds,
+        "magnifications": output::magnifications(outcome),
+    }));
+    show_outcome(answer, outcome);
+    // The verdict stands, whether or not the stage still answers.
+    let z = desk.scope.gate().position().ok();
+    let z = z.and_then(|at| at.si(Axis::Z));
+    say!(
+        answer,
+        "  {} moves, {} pictures, {seconds:.1} s{}",
+        counters.moves,
+        counters.frames,
+        z.map_or(String::new(), |z| format!(", z = {:.1} um", z * 1e6))
+    );
+}
+
+/// The report, in the folder of the run and as the last one's copy.
+fn keep(
+    desk: &Desk,
+    name: &str,
+    ran: Ran<RepositionOutput>,
+    watcher: &Watcher,
+    (servo, seconds): (&ServoOptions, f64),
+    out: &Path,
+    answer: &Answer,
+) -> Result<bool, CliError> {
+    if ran.output.is_err() {
+        return ran.end(None, answer).map(|_| false);
+    }
+    let context = report::Context {
+        title: format!("Back to {name}"),
+        instrument: desk.config.name.clone(),
+        command: output::command_line(),
+        version: env!("CARGO_PKG_VERSION").into(),
+        wall_time_s: Some(seconds),
+        convergence: Some(report::Convergence {
+            position_px: servo.position_px,
+            angle_deg: servo.angle_deg,
+        }),
+        ..report::Context::default()
+    };
+    let page = report::html(&watcher.recorder, None, &context);
+    keep_report(out, &page, answer);
+    let output = ran.end(Some(&page), answer)?;
+    Ok(output.outcome.verdict == Verdict::Arrived)
+}
+
+/// The size of a pixel of a target that another microscope took; what is not known of it cannot be guessed.
+fn foreign_scale(
+    name: &str,
+    kept: &KeptTarget,
+    config: &Config,
+    answer: &Answer,
+) -> Result<f64, CliError> {
+    let Some(taken) = &kept.target.taken else {
+        return Err(CliError::Usage(format!(
+            "the target '{name}' was saved on '{}', and this is '{}': its picture has another scale and other axes, and an earlier version \
+             did not keep which. Save it anew here",
+            kept.instrument, config.name
+        )));
+    };
+    if taken.calibration.is_none() {
+        let what = format!(
+            "the target '{name}' was saved on '{}' with an objective that was not calibrated: its scale is the engraved one",
+            kept.instrument
+        );
+        answer.warn(Code::ForeignTarget, what);
+    }
+    Ok(taken.um_per_px)
+}
+
+fn show_outcome(answer: &Answer, outcome: &Outcome) {
+    let verdict = output::word(outcome.verdict);
+    say!(answer, "{verdict}: {}", outcome.message);
+    for m in output::magnifications(outcome) {
+        match (m.iterations, m.inliers, m.error_um, m.error_deg) {
+            (Some(n), Some(inliers), Some(um), Some(deg)) => say!(
+                answer,
+                "  {:>4}  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {deg:8.4} deg",
+                m.objective
+            ),
+            _ => say!(answer, "  {:>4}  {}", m.objective, m.end.replace('_', " ")),
+        }
+    }
+    if let (Verdict::Arrived, Some([w, h])) = (outcome.verdict, outcome.unique_within_um) {
+        say!(
+            answer,
+            "  unique only within {w:.0} x {h:.0} um: what looks the same farther away was not in view"
+        );
+    }
+}

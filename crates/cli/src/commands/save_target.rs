@@ -1,0 +1,101 @@
+//! `scopeservo target save`.
+
+use super::{known_calibrations, library_of};
+use crate::answer::Answer;
+use crate::args::TargetSaveArgs;
+use crate::desk::Desk;
+use crate::error::CliError;
+use crate::journal::Asked;
+use crate::progress::Watcher;
+use scopeservo_library::Targets as _;
+use scopeservo_scope::ObjectiveId;
+use scopeservo_servo::{FocusOptions, VisionOptions};
+use scopeservo_station::jobs::{SaveTargetInput, SaveTargetJob, SaveTargetOutput};
+use serde_json::json;
+
+pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool, CliError> {
+    library_of(&args.instrument.description)?.check_new_target(&args.name)?;
+    let desk = Desk::open(&args.instrument, answer)?;
+    desk.check_nothing_waits()?;
+    let input = SaveTargetInput {
+        objective: args.objective.clone().map(ObjectiveId),
+        focus: args.focus.then(FocusOptions::default),
+        still: args.still || desk.config.target.still,
+        known: known_calibrations(&desk, answer),
+        vision: VisionOptions::default(),
+    };
+    let asked = Asked {
+        inputs: json!({"name": args.name, "input": input}),
+        target: None,
+    };
+    run(&desk, &args.name, SaveTargetJob::new(input), asked, answer)
+}
+
+/// Runs the job, from its beginning or from where it was.
+pub(super) fn run(
+    desk: &Desk,
+    name: &str,
+    job: SaveTargetJob,
+    asked: Asked,
+    answer: &Answer,
+) -> Result<bool, CliError> {
+    let before = desk.scope.flat_field();
+    let ran = desk.run(job, asked, &mut Watcher::new(None), answer)?;
+    let kept = match &ran.output {
+        Ok(output) => keep(desk, name, output, answer),
+        Err(_) => Ok(()),
+    };
+    let seen = desk.scope.flat_field();
+    if let Some(shadows) = seen.filter(|now| Some(now) != before.as_ref()) {
+        say!(
+            answer,
+            "  {} shadows lie on the camera: they are divided out of what it shows from now on. Better still, clean it",
+            shadows.shadows()
+        );
+    }
+    ran.end(None, answer)?;
+    kept.map(|()| true)
+}
+
+fn keep(
+    desk: &Desk,
+    name: &str,
+    output: &SaveTargetOutput,
+    answer: &Answer,
+) -> Result<(), CliError> {
+    let SaveTargetOutput {
+        target,
+        stage,
+        frame,
+    } = output;
+    let (features, moved) = (target.features.len(), target.moved);
+    let no_picture = || CliError::Internal("the target has no picture".into());
+    let frame = frame.as_ref().ok_or_else(no_picture)?;
+    answer.put(json!({
+        "name": name,
+        "objective": target.objective,
+        "features": features,
+        "moved_features": moved,
+        "shadows": desk.scope.flat_field().map_or(0, |seen| seen.shadows()),
+    }));
+    let instrument = &desk.config.name;
+    let library = &desk.library;
+    let file = library.keep_target(name, instrument, *stage, target.clone(), frame)?;
+    answer.put(json!({"file": file.to_string_lossy()}));
+    match moved {
+        Some(moved) => say!(
+            answer,
+            "saved '{name}' at {}: {features} features, {moved} of them seen to move with the stage",
+            target.objective
+        ),
+        None => say!(
+            answer,
+            "saved '{name}' at {}: {features} features. Nothing was moved, so nobody knows which of them are on the camera: the run must \
+             prove it, by a step aside where its own moves do not",
+            target.objective
+        ),
+    }
+    say!(answer, "  {} and its picture beside it", file.display());
+    say!(answer, "  come back with: scopeservo reposition {name}");
+    Ok(())
+}

@@ -1,0 +1,225 @@
+//! The journal of the job under way, in the library; and what is told of one that was killed.
+
+use scopeservo_library::{
+    Calibrations as _, Cameras as _, Folder, Journal as _, JournalHead, JournalStep, Journalled,
+    utc,
+};
+use scopeservo_scope::{Axis, Instrument, Length, StagePose};
+use scopeservo_station::{Ended, JobInfo, Journal, JournalError, Kept, MadeCalibration};
+use serde_json::Value;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::SystemTime;
+
+/// What a job is asked, as its record and its journal have it.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Asked {
+    pub(crate) inputs: Value,
+    /// Name and id of the target that it refers to.
+    pub(crate) target: Option<[String; 2]>,
+}
+
+/// A calibration that a job made, and where it is kept.
+#[derive(Debug, Clone)]
+pub(crate) struct Made {
+    pub(crate) calibration: MadeCalibration,
+    pub(crate) file: Option<PathBuf>,
+}
+
+/// Keeps what a station's jobs are at in a library.
+pub(crate) struct FileJournal {
+    library: Arc<Folder>,
+    instrument: String,
+    scope: Weak<Instrument>,
+    at_work: Mutex<AtWork>,
+}
+
+#[derive(Default)]
+struct AtWork {
+    /// Of the job that comes, until its first step.
+    head: Option<JournalHead>,
+    /// Whether a job has a journal now.
+    begun: bool,
+    made: Vec<Made>,
+}
+
+impl FileJournal {
+    pub(crate) fn new(library: &Arc<Folder>, instrument: &str, scope: &Arc<Instrument>) -> Self {
+        Self {
+            library: library.clone(),
+            instrument: instrument.into(),
+            scope: Arc::downgrade(scope),
+            at_work: Mutex::default(),
+        }
+    }
+
+    fn at_work(&self) -> MutexGuard<'_, AtWork> {
+        self.at_work.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The job that is started next.
+    pub(crate) fn comes(&self, job: &str, asked: Asked) {
+        *self.at_work() = AtWork {
+            head: Some(JournalHead {
+                job: job.into(),
+                began: utc(SystemTime::now()),
+                inputs: asked.inputs,
+                target: asked.target,
+            }),
+            ..AtWork::default()
+        };
+    }
+
+    /// What the job made so far.
+    pub(crate) fn made(&self) -> Vec<Made> {
+        self.at_work().made.clone()
+    }
+
+    /// The stage is about to be sent there.
+    pub(crate) fn goes(&self, to: &StagePose) {
+        if self.at_work().begun {
+            // The step that moves was kept; a goal that is missing makes a resume refuse, and no more.
+            let _ = self.library.journal_goal(&self.instrument, to);
+        }
+    }
+}
+
+fn failed(error: impl ToString) -> JournalError {
+    JournalError(error.to_string())
+}
+
+impl Journal for FileJournal {
+    fn before_step(
+        &self,
+        _: &JobInfo,
+        step: u64,
+        state: &dyn Fn() -> Result<Vec<u8>, JournalError>,
+    ) -> Result<(), JournalError> {
+        let Some(scope) = self.scope.upgrade() else {
+            return Ok(());
+        };
+        if let Some(head) = self.at_work().head.take() {
+            let begun = self.library.begin_journal(&self.instrument, &head);
+            begun.map_err(failed)?;
+        }
+        let gate = scope.gate();
+        let step = JournalStep {
+            step,
+            // What cannot be asked now cannot be compared later: then the job itself meets the fault.
+            stage: gate.position().unwrap_or_default(),
+            homed: gate.is_homed().unwrap_or(false),
+            objective: gate.current_objective().ok().flatten(),
+            state: serde_json::from_slice(&state()?).map_err(failed)?,
+        };
+        let kept = self.library.journal_step(&self.instrument, &step);
+        kept.map_err(failed)?;
+        self.at_work().begun = true;
+        Ok(())
+    }
+
+    fn kept(&self, _: &JobInfo, kept: &Kept) -> Result<(), JournalError> {
+        match kept {
+            Kept::Calibration(made) => {
+                let z = made.focus_z_um.map(Length::from_um);
+                let file = self.library.keep_calibration(
+                    &self.instrument,
+                    &made.calibration,
+                    z,
+                    made.residual_px,
+                );
+                let (file, lost) = match file {
+                    Ok(file) => (Some(file), None),
+                    Err(error) => (None, Some(error)),
+                };
+                let calibration = (**made).clone();
+                self.at_work().made.push(Made { calibration, file });
+                lost.map_or(Ok(()), |error| Err(failed(error)))
+            }
+            Kept::Shadows(seen) => {
+                let kept = self.library.keep_shadows(&self.instrument, seen);
+                kept.map(drop).map_err(failed)
+            }
+        }
+    }
+
+    fn ended(&self, _: &JobInfo, _: &Ended) -> Result<(), JournalError> {
+        self.at_work().begun = false;
+        self.library.end_journal(&self.instrument).map_err(failed)
+    }
+}
+
+/// What was under way, for people.
+pub(crate) fn what(left: &Journalled) -> String {
+    let job = left.head.job.replace('_', " ");
+    let of = match &left.head.target {
+        Some([name, _]) => format!("{job} of {name}"),
+        None => match left.head.inputs.get("name").and_then(Value::as_str) {
+            Some(name) => format!("{job} {name}"),
+            None => job,
+        },
+    };
+    let objective = left.step.as_ref().and_then(|s| s.objective.as_ref());
+    let at = objective.map_or(String::new(), |id| format!(" with {id}"));
+    format!("{of}{at}, begun {},", left.head.began)
+}
+
+/// Where things stand: what was under way, where the stage should be and where it says it is.
+pub(crate) fn standing(left: &Journalled, scope: &Instrument) -> String {
+    let should = match &left.step {
+        None => "nothing had moved for it".to_owned(),
+        Some(step) if left.goals.is_empty() => format!("the stage should stand at {}", step.stage),
+        Some(step) => {
+            let last = left.goals.last().copied().unwrap_or_default();
+            format!("the stage was sent from {} to {last}", step.stage)
+        }
+    };
+    let says = match scope.gate().position() {
+        Ok(at) => format!("it says {at}"),
+        Err(error) => format!("it does not say where it is: {error}"),
+    };
+    format!(
+        "{} was under way when the program ended; {should}; {says}",
+        what(left)
+    )
+}
+
+/// Why the job cannot go on from where the stage is now; `None` when it can.
+pub(crate) fn contradiction(left: &Journalled, scope: &Instrument) -> Option<String> {
+    let step = left.step.as_ref()?;
+    let gate = scope.gate();
+    let now = match gate.position() {
+        Ok(now) => now,
+        Err(error) => return Some(error.to_string()),
+    };
+    if step.homed && !gate.is_homed().unwrap_or(false) {
+        return Some(
+            "the stage has lost its reference, so places of then and now are not the same".into(),
+        );
+    }
+    for info in &gate.info().axes {
+        let axis = info.axis;
+        let (Some(then), Some(now)) = (step.stage.si(axis), now.si(axis)) else {
+            continue;
+        };
+        let places = || left.goals.iter().filter_map(|g| g.si(axis)).chain([then]);
+        let least = places().fold(f64::INFINITY, f64::min) - info.tolerance();
+        let most = places().fold(f64::NEG_INFINITY, f64::max) + info.tolerance();
+        if !(least..=most).contains(&now) {
+            return Some(format!(
+                "somebody moved the stage: {axis} should be between {} and {}, and is at {}",
+                shown(axis, least),
+                shown(axis, most),
+                shown(axis, now)
+            ));
+        }
+    }
+    None
+}
+
+fn shown(axis: Axis, si: f64) -> String {
+    let unit = axis.display_unit();
+    match unit {
+        "deg" => format!("{:.3} {unit}", si.to_degrees()),
+        _ => format!("{:.1} {unit}", si * 1e6),
+    }
+}
