@@ -5,10 +5,10 @@ mod common;
 use common::{PLACE_UM, Watched, bench, drain};
 use scopeservo_servo::{Event, FocusOptions, RepositionOptions, ServoOptions, Verdict};
 use scopeservo_station::jobs::{
-    CalibrateInput, CalibrateJob, FocusInput, FocusJob, IdentifyInput, IdentifyJob,
-    RepositionInput, RepositionJob, SaveTargetInput, SaveTargetJob,
+    Answer, AnyJob, CalibrateInput, CalibrateJob, IdentifyInput, IdentifyJob, RepositionInput,
+    RepositionJob, Request, SaveTargetInput, SaveTargetJob,
 };
-use scopeservo_station::{Ended, JobError, Kept, News, Refusal, StationEvent};
+use scopeservo_station::{Ended, JobError, JournalError, Kept, News, Refusal, StationEvent};
 
 #[test]
 fn one_session_calibrates_stops_repositions_stops_and_repositions_to_the_end_while_others_watch() {
@@ -89,10 +89,14 @@ fn one_session_calibrates_stops_repositions_stops_and_repositions_to_the_end_whi
     assert!(state.len() < 20_000, "{} bytes", state.len());
 
     // From its state it goes on, whole again with its target.
-    let stored: RepositionJob = serde_json::from_str(&state).unwrap();
-    assert_eq!(stored.target_id(), "mitosis-3");
-    let resumed = stored.with_target(saved.target.clone());
-    let resumed = session.start(&ada, resumed).unwrap().wait().unwrap();
+    let stored = AnyJob::stored("reposition", state.as_bytes(), |id| {
+        assert_eq!(id, "mitosis-3");
+        Ok::<_, JournalError>(saved.target.clone())
+    });
+    let resumed = session.start(&ada, stored.unwrap()).unwrap().wait();
+    let Ok(Answer::Reposition(resumed)) = resumed else {
+        panic!("{resumed:?}");
+    };
     assert_eq!(resumed.outcome.verdict, Verdict::Arrived);
     assert_eq!(resumed.made.len(), 1);
     let (um, deg) = bench.error_from(&truth);
@@ -138,8 +142,14 @@ fn focus_and_calibration_answer_what_is_to_be_kept() {
         scopeservo_station::MemoryJournal::default(),
     ));
     let ada = session.take_lease("Ada", None).unwrap();
-    let focus = FocusJob::new(FocusInput::default());
-    let focused = session.start(&ada, focus).unwrap().wait().unwrap();
+    // Also as data.
+    let request = r#"{"job": "focus", "input": {"focus": {"half_range_um": 30.0}}}"#;
+    let request: Request = serde_json::from_str(request).unwrap();
+    let focus = AnyJob::new(request, |id| Err(id.to_owned())).unwrap();
+    let focused = session.start(&ada, focus).unwrap().wait();
+    let Ok(Answer::Focus(focused)) = focused else {
+        panic!("{focused:?}");
+    };
     let z_um = focused.result.z_um.unwrap();
     let calibrate = CalibrateJob::new(CalibrateInput::default());
     let job = session.start(&ada, calibrate).unwrap();

@@ -3,12 +3,14 @@
 //! What storage knows comes in with the input (the target, known calibrations, the size of a pixel), and what is to be kept goes out with
 //! the output. A job that ends early has it in [`crate::JobHandle::kept`].
 
+mod any;
 mod calibrate;
 mod focus;
 mod identify;
 mod reposition;
 mod save_target;
 
+pub use any::{Answer, AnyJob, Request};
 pub use calibrate::{CalibrateInput, CalibrateJob, CalibrateOutput};
 pub use focus::{FocusInput, FocusJob, FocusOutput};
 pub use identify::{IdentifyInput, IdentifyJob, IdentifyOutput};

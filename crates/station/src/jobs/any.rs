@@ -1,0 +1,128 @@
+//! Any of the jobs, for front ends that take them as data, and for stored ones that go on.
+
+use super::{
+    CalibrateInput, CalibrateJob, CalibrateOutput, FocusInput, FocusJob, FocusOutput,
+    IdentifyInput, IdentifyJob, IdentifyOutput, RepositionInput, RepositionJob, RepositionOutput,
+    SaveTargetInput, SaveTargetJob, SaveTargetOutput,
+};
+use crate::{JobError, JournalError, UseCase, Work};
+use scopeservo_servo::{Progress, Target};
+use serde::{Deserialize, Serialize};
+
+/// What is asked of a station.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "job", content = "input", rename_all = "snake_case")]
+#[allow(missing_docs, reason = "each is the job of its name")]
+pub enum Request {
+    Focus(FocusInput),
+    Calibrate(CalibrateInput),
+    SaveTarget(SaveTargetInput),
+    Reposition(RepositionInput),
+    Identify(IdentifyInput),
+}
+
+/// What it answers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "job", content = "output", rename_all = "snake_case")]
+#[allow(missing_docs, reason = "each is of the job of its name")]
+pub enum Answer {
+    Focus(FocusOutput),
+    Calibrate(CalibrateOutput),
+    SaveTarget(Box<SaveTargetOutput>),
+    Reposition(RepositionOutput),
+    Identify(IdentifyOutput),
+}
+
+/// A job of any kind. Its state is that of the job itself, so that what was stored comes back by its kind.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+#[allow(missing_docs, reason = "each is the job of its name")]
+pub enum AnyJob {
+    Focus(Box<FocusJob>),
+    Calibrate(Box<CalibrateJob>),
+    SaveTarget(Box<SaveTargetJob>),
+    Reposition(Box<RepositionJob>),
+    Identify(Box<IdentifyJob>),
+}
+
+impl AnyJob {
+    /// Does what is asked. `target` finds the target of a reposition by its identifier.
+    ///
+    /// # Errors
+    /// Those of `target`.
+    pub fn new<E>(
+        request: Request,
+        target: impl FnOnce(&str) -> Result<Target, E>,
+    ) -> Result<Self, E> {
+        Ok(match request {
+            Request::Focus(input) => Self::Focus(Box::new(FocusJob::new(input))),
+            Request::Calibrate(input) => Self::Calibrate(Box::new(CalibrateJob::new(input))),
+            Request::SaveTarget(input) => Self::SaveTarget(Box::new(SaveTargetJob::new(input))),
+            Request::Identify(input) => Self::Identify(Box::new(IdentifyJob::new(input))),
+            Request::Reposition(input) => {
+                let target = target(&input.target_id)?;
+                Self::Reposition(Box::new(RepositionJob::new(target, input)))
+            }
+        })
+    }
+
+    /// A job that goes on, from its kind and the state that a [`crate::Journal`] kept.
+    ///
+    /// # Errors
+    /// [`JournalError`] when the state is damaged, or of a kind that is not known here; those of `target`.
+    pub fn stored<E: From<JournalError>>(
+        kind: &str,
+        state: &[u8],
+        target: impl FnOnce(&str) -> Result<Target, E>,
+    ) -> Result<Self, E> {
+        fn read<'a, T: Deserialize<'a>>(state: &'a [u8]) -> Result<Box<T>, JournalError> {
+            let job = serde_json::from_slice(state).map(Box::new);
+            job.map_err(|error| JournalError(format!("it cannot be read: {error}")))
+        }
+        Ok(match kind {
+            "focus" => Self::Focus(read(state)?),
+            "calibrate" => Self::Calibrate(read(state)?),
+            "save_target" => Self::SaveTarget(read(state)?),
+            "identify" => Self::Identify(read(state)?),
+            "reposition" => {
+                let job = *read::<RepositionJob>(state)?;
+                let target = target(job.target_id())?;
+                Self::Reposition(Box::new(job.with_target(target)))
+            }
+            other => return Err(JournalError(format!("there is no job '{other}'")).into()),
+        })
+    }
+}
+
+impl UseCase for AnyJob {
+    type Output = Answer;
+
+    fn kind(&self) -> &'static str {
+        match self {
+            Self::Focus(job) => job.kind(),
+            Self::Calibrate(job) => job.kind(),
+            Self::SaveTarget(job) => job.kind(),
+            Self::Reposition(job) => job.kind(),
+            Self::Identify(job) => job.kind(),
+        }
+    }
+
+    fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<Answer>, JobError> {
+        Ok(match self {
+            Self::Focus(job) => answer(job.step(work)?, Answer::Focus),
+            Self::Calibrate(job) => answer(job.step(work)?, Answer::Calibrate),
+            Self::SaveTarget(job) => {
+                answer(job.step(work)?, |saved| Answer::SaveTarget(Box::new(saved)))
+            }
+            Self::Reposition(job) => answer(job.step(work)?, Answer::Reposition),
+            Self::Identify(job) => answer(job.step(work)?, Answer::Identify),
+        })
+    }
+}
+
+fn answer<T>(progress: Progress<T>, of: impl FnOnce(T) -> Answer) -> Progress<Answer> {
+    match progress {
+        Progress::Continue => Progress::Continue,
+        Progress::Done(output) => Progress::Done(of(output)),
+    }
+}
