@@ -207,7 +207,7 @@ impl JobHandle {
     }
 
     /// Stops it, and what moves for it; its question to people is not asked any more. Needs no lease. The next job runs as if nothing
-    /// had been.
+    /// had been. A job that had made its last step already has its answer all the same.
     ///
     /// # Errors
     /// What a device answers that does not take the stop; the job was told all the same.

@@ -307,3 +307,32 @@ fn the_journal_is_told_before_each_step_and_one_that_fails_ends_the_job_before_a
         });
     }
 }
+
+#[test]
+fn a_stop_of_one_job_never_reaches_the_next_whenever_it_comes() {
+    let bench = bench();
+    let session = bench.session(Arc::new(NoJournal));
+    let ada = session.take_lease("Ada", None).unwrap();
+    for delay in 0..40 {
+        let stopped = session.start(&ada, Walk::of(10)).unwrap();
+        let next = session.start(&ada, Walk::of(10)).unwrap();
+        let handle = stopped.handle().clone();
+        std::thread::scope(|s| {
+            // From three threads, early in the job, late, and after its end.
+            for _ in 0..3 {
+                s.spawn(|| {
+                    let started = || bench.scope.counters().moves % 20;
+                    while started() < delay % 12 && !handle.wait_timeout(Duration::ZERO) {
+                        std::thread::yield_now();
+                    }
+                    handle.stop().unwrap();
+                });
+            }
+        });
+        match stopped.wait() {
+            Ok(moves) => assert_eq!(moves, 10),
+            Err(error) => assert!(matches!(error, JobError::Stopped { .. }), "{error}"),
+        }
+        assert_eq!(next.wait().unwrap(), 10, "delay {delay}");
+    }
+}
