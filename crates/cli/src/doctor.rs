@@ -104,6 +104,7 @@ pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> 
             _ => return Err(error),
         },
     };
+    desk.tell_what_waits(answer);
     for (driver, name) in &desk.drivers {
         findings.look(&format!("driver {driver}"), Ok(name.clone()));
     }
