@@ -7,7 +7,7 @@
 use crate::aside::SEEN_PX;
 use crate::event::tell;
 use crate::fixed::LEAST_PX;
-use crate::hand_eye::{Observation, covariance, explained_px, solve_hand_eye};
+use crate::hand_eye::{Observation, covariance, explained_px, pose_sigma, solve_hand_eye};
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::{centre_px, features, grab, gray, same_objective};
@@ -314,11 +314,7 @@ impl Calibrate {
         let stage_from_pixel = pixel_from_stage
             .inverse()
             .ok_or_else(|| self.too_few(self.translations.len(), NEEDED))?;
-        let repeatability = |axis| {
-            info.axis(axis)
-                .map_or(0.0, |a| a.repeatability / 3f64.sqrt())
-        };
-        let pose_sigma = [Axis::X, Axis::Y, Axis::Rz].map(repeatability);
+        let pose_sigma = pose_sigma(info);
         let camera = scope.camera().info();
         let calibration = Calibration {
             schema: CALIBRATION_SCHEMA,

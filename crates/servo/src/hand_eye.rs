@@ -4,7 +4,7 @@
 use crate::Calibration;
 use crate::kinematics::{PlanarPose, motion_between};
 use scopeservo_geometry::{Mat2, Vec2, least_squares};
-use scopeservo_scope::Kinematics;
+use scopeservo_scope::{Axis, Kinematics, StageInfo};
 use serde::{Deserialize, Serialize};
 
 /// One measured move from the reference view.
@@ -70,7 +70,7 @@ pub fn solve_hand_eye(
 }
 
 /// b that a calibration predicts for a stage at `pose`: Eq. (12) over a general map.
-fn predicted_b(
+pub(crate) fn predicted_b(
     kinematics: Kinematics,
     reference: &PlanarPose,
     pose: &PlanarPose,
@@ -80,6 +80,14 @@ fn predicted_b(
     let motion = motion_between(kinematics, reference, pose);
     let turned = Mat2::rotation(motion.alpha_rad) * eta;
     pixel_from_stage * [0, 1].map(|k| turned[k] - eta[k] + motion.d_m[k])
+}
+
+/// Standard deviations of where a stage comes to stand: m, m, rad.
+pub(crate) fn pose_sigma(info: &StageInfo) -> [f64; 3] {
+    [Axis::X, Axis::Y, Axis::Rz].map(|axis| {
+        info.axis(axis)
+            .map_or(0.0, |a| a.repeatability / 3f64.sqrt())
+    })
 }
 
 /// Standard deviation per coordinate, px, of a view's displacement from the stage's repeatability, at the view and at the

@@ -5,14 +5,20 @@
 
 use crate::aside::SEEN_PX;
 use crate::fixed::{FixedPlaces, LEAST_PX};
+use crate::hand_eye::{explained_px, predicted_b};
+use crate::{Calibration, PlanarPose};
 use scopeservo_geometry::{Affine2, Correspondence, Vec2};
 use scopeservo_registration::{Estimate, Matched, Options, Prior, Registration};
+use scopeservo_scope::Kinematics;
 use scopeservo_sift::Features;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
 /// So many frames from elsewhere are kept: the latest.
 const WITNESSES: usize = 3;
+/// A target that was saved without moving may be text, which shifts by a letter as digits come, and at times as the stage went: then the
+/// view must be seen to follow from so many frames.
+const FOLLOWED_FROM: usize = 2;
 /// Steps aside in one leg, at most.
 const ASIDES: u8 = 2;
 /// The transform of the places that moved must agree with the one of all places within so many sigmas,
@@ -20,10 +26,17 @@ const AGREE_SIGMAS: f64 = 3.0;
 /// or this, in pixels of the coarser picture: the noise that both share.
 const AGREE_PX: f64 = 0.05;
 /// A view that follows a move by less than this share does not follow.
-const FOLLOWS: f64 = 0.25;
+pub(crate) const FOLLOWS: f64 = 0.25;
 
 /// A place that lies so far from where the places that moved put it does not belong to them, pixels of the coarser picture.
 const BENT_PX: f64 = 1.0;
+
+/// The view goes at most this much farther than the stage says it went,
+const FARTHER: f64 = 1.05;
+/// and lies off its way by this share of it, for the calibration and the optics,
+const OFF_WAY: f64 = 0.1;
+/// and a pixel, and so many standard deviations of what the stage scatters and of the rotation centre.
+const WAY_SIGMAS: f64 = 3.0;
 
 /// What the places that moved with the specimen prove.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,8 +52,48 @@ pub(crate) enum Proved {
 /// A frame of the target's own leg from elsewhere: where in the view each place of the target was.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Witness {
+    /// Where the stage said it was.
+    pose: PlanarPose,
+    target_from_view: Affine2,
     /// x, y in the view, x, y in the target.
     places: Vec<[f32; 4]>,
+}
+
+/// Where the stage says that a frame was taken, and what that means in pixels.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Station<'a> {
+    pub(crate) pose: PlanarPose,
+    pub(crate) calibration: &'a Calibration,
+    pub(crate) kinematics: Kinematics,
+    /// What the stage scatters: m, m, rad.
+    pub(crate) pose_sigma: [f64; 3],
+    /// Whether the target was saved without moving.
+    pub(crate) still: bool,
+}
+
+impl Station<'_> {
+    /// Whether a view moved as the stage says that it went from `before`, as far as play, scatter and the calibration let it: `seen_px` is
+    /// where this view's centre lay in the one from there, from its centre. Play may leave `least` of the way.
+    pub(crate) fn follows(&self, before: &PlanarPose, seen_px: Vec2, least: f64) -> bool {
+        let Some(pixel_from_stage) = self.calibration.pixel_from_stage() else {
+            return false;
+        };
+        let eta = self.calibration.rotation_centre_m.unwrap_or([0.0; 2]);
+        let told = predicted_b(self.kinematics, before, &self.pose, pixel_from_stage, eta);
+        let told_px = f64::hypot(told[0], told[1]);
+        let along = (seen_px[0] * told[0] + seen_px[1] * told[1]) / (told_px * told_px).max(1e-9);
+        let share = along.clamp(least, FARTHER);
+        let off = f64::hypot(seen_px[0] - share * told[0], seen_px[1] - share * told[1]);
+        let scatter_px = explained_px(before, self.calibration, self.kinematics, self.pose_sigma);
+        let turn = (self.pose.theta_rad - before.theta_rad).abs();
+        let centre_m = self
+            .calibration
+            .covariance
+            .map_or(0.0, |c| c[4][4].max(c[5][5]).sqrt());
+        let centre_px = turn * centre_m * 1e6 / self.calibration.um_per_px();
+        let sigma_px = f64::hypot(std::f64::consts::SQRT_2 * scatter_px, centre_px);
+        off <= 1.0 + WAY_SIGMAS * sigma_px + OFF_WAY * told_px
+    }
 }
 
 /// What the frames of a leg have shown so far.
@@ -52,6 +105,9 @@ pub(crate) struct Proof {
     asides: u8,
     /// Whether nothing else explains the view as well.
     pub(crate) unique: bool,
+    /// Whether a step aside, and another one on, were seen to be followed.
+    #[serde(default)]
+    pub(crate) followed: bool,
     /// The error before the last move and the length of that move, um.
     asked: Option<(Vec2, f64)>,
 }
@@ -72,6 +128,8 @@ impl Proof {
     pub(crate) fn spend_step_aside(&mut self) -> bool {
         let may = self.may_step_aside();
         self.asides += u8::from(may);
+        // What led here has proved nothing.
+        self.witnesses.clear();
         may
     }
 
@@ -81,14 +139,33 @@ impl Proof {
         target_from_view: &Affine2,
         registration: &Registration,
         (centre, target_centre): (Vec2, Vec2),
+        pose: PlanarPose,
     ) {
         if far_from_goal(target_from_view, centre, target_centre) {
             self.witnesses.push(Witness {
+                pose,
+                target_from_view: *target_from_view,
                 places: registration.pairs.clone(),
             });
             let extra = self.witnesses.len().saturating_sub(WITNESSES);
             self.witnesses.drain(..extra);
         }
+    }
+
+    /// From how many of the frames that are kept the view followed the stage; `None` when it did not from one of them.
+    fn followed_from(
+        &self,
+        target_from_view: &Affine2,
+        centre: Vec2,
+        here: &Station<'_>,
+    ) -> Option<usize> {
+        let lay = target_from_view.apply(centre);
+        let all = self.witnesses.iter().all(|w| {
+            let there = w.target_from_view.inverse().map(|t| t.apply(lay));
+            let way = there.map(|p| [p[0] - centre[0], p[1] - centre[1]]);
+            way.is_some_and(|way| here.follows(&w.pose, way, FOLLOWS))
+        });
+        all.then_some(self.witnesses.len())
     }
 
     /// What the agreeing places that moved say, without the others.
@@ -99,7 +176,18 @@ impl Proof {
         estimate: &Estimate,
         prior: &Prior,
         options: &Options,
+        here: &Station<'_>,
     ) -> Proved {
+        let centre = crate::vision::centre_px(view.width, view.height);
+        let needed = if here.still && !self.followed {
+            FOLLOWED_FROM
+        } else {
+            1
+        };
+        let followed = self.followed_from(&estimate.target_from_view, centre, here);
+        if followed.is_none_or(|n| n < needed) {
+            return Proved::Nothing;
+        }
         let seen_at = self.places_seen();
         let moved = |[query, train]: [usize; 2]| {
             let (v, t) = (&view.keypoints[query], &target.keypoints[train]);
@@ -122,7 +210,6 @@ impl Proof {
         let Some(found) = again.found() else {
             return Proved::Nothing;
         };
-        let centre = crate::vision::centre_px(view.width, view.height);
         let off = |p: Vec2, q: Vec2| f64::hypot(p[0] - q[0], p[1] - q[1]);
         let apart = off(
             estimate.target_from_view.apply(centre),

@@ -6,8 +6,9 @@
 
 use crate::control::motion_of;
 use crate::event::tell;
+use crate::hand_eye::pose_sigma;
 use crate::procedure::Progress;
-use crate::proof::{Drift, Proof};
+use crate::proof::{Drift, Proof, Station};
 use crate::sight::{Belief, Sight};
 use crate::vision::{centre_px, features, grab, gray};
 use crate::{
@@ -199,6 +200,13 @@ impl Servo {
             target: &target,
             matched: &matched,
             prior: &prior,
+            station: Station {
+                pose: PlanarPose::from(&present),
+                calibration: task.view_calibration,
+                kinematics: scope.gate().info().kinematics,
+                pose_sigma: pose_sigma(scope.gate().info()),
+                still: task.target.moved.is_none(),
+            },
         };
         if let Some(end) = self.ambiguity(task, &sight, &estimate, converged) {
             return Ok(Progress::Done(end));
@@ -228,7 +236,7 @@ impl Servo {
             Belief::Unknown => {
                 self.iteration += 1;
                 let last = self.result(task, error, registration, &estimate);
-                return self.step_aside(task, scope, sink, &sight, &present, last);
+                return self.step_aside(task, scope, sink, &sight, last);
             }
         }
         let now = Passed {

@@ -1,14 +1,15 @@
 //! What the servo asks of a view beyond its pose: is this the specimen, is it the only place that looks like this, does it rest?
 
-use crate::aside::{Aside, step_aside};
+use crate::aside::{Aside, Seen, step_aside};
+use crate::fixed::Parallax;
 use crate::procedure::Progress;
-use crate::proof::{Drift, Proved, far_from_goal};
+use crate::proof::{Drift, FOLLOWS, Proved, Station, far_from_goal};
 use crate::servo::{Passed, ServoTask};
-use crate::vision::centre_px;
-use crate::{PlanarPose, PoseError, Servo, ServoEnd, ServoError, ServoResult, Sink};
+use crate::vision::{centre_px, features, grab, gray};
+use crate::{FrameRole, PlanarPose, PoseError, Servo, ServoEnd, ServoError, ServoResult, Sink};
 use scopeservo_registration::likeness::Pair;
 use scopeservo_registration::{Estimate, Matched, Prior, Rival, find_rivals, shifted, undecided};
-use scopeservo_scope::{Instrument, StagePose};
+use scopeservo_scope::Instrument;
 use scopeservo_sift::{Features, GrayImage};
 use std::time::Duration;
 
@@ -28,6 +29,8 @@ pub(crate) struct Sight<'a> {
     pub(crate) target: &'a Features,
     pub(crate) matched: &'a Matched,
     pub(crate) prior: &'a Prior,
+    /// Where the stage says that it was taken.
+    pub(crate) station: Station<'a>,
 }
 
 impl Sight<'_> {
@@ -156,8 +159,9 @@ impl Servo {
         let Some(passes) = passes else {
             let centres = sight.centres();
             let registration = &sight.matched.registration;
+            let transform = &estimate.target_from_view;
             self.proof
-                .witness(&estimate.target_from_view, registration, centres);
+                .witness(transform, registration, centres, sight.station.pose);
             return match stays && self.proof.may_step_aside() {
                 true => Belief::Unknown,
                 false => Belief::Specimen(None),
@@ -169,6 +173,7 @@ impl Servo {
             estimate,
             sight.prior,
             &task.vision.registration,
+            &sight.station,
         );
         match proved {
             Proved::Moved(moved) if self.proof.unique => match passes(&moved) {
@@ -187,7 +192,6 @@ impl Servo {
         scope: &Instrument,
         sink: &mut dyn Sink,
         sight: &Sight<'_>,
-        present: &StagePose,
         last: ServoResult,
     ) -> Result<Progress<ServoEnd>, ServoError> {
         if !self.proof.spend_step_aside() {
@@ -202,10 +206,13 @@ impl Servo {
             (objective, task.view_calibration.um_per_px()),
             task.vision,
             (sight.image, sight.seen),
-            &PlanarPose::from(present),
+            &sight.station.pose,
         )?;
         match aside {
             Aside::Nothing { moved_um } => Ok(Progress::Done(ServoEnd::NothingMoves { moved_um })),
+            Aside::Seen(seen) if !self.went_along(task, scope, sink, sight, &seen)? => {
+                Ok(Progress::Done(ServoEnd::Unproven(last)))
+            }
             Aside::Seen(seen) => {
                 // The error begins anew from here; and what was believed so far may have been believed of the dust.
                 self.first = None;
@@ -233,5 +240,57 @@ impl Servo {
             f64::hypot(now.sigma_um, before.sigma_um),
             tolerance_um,
         )
+    }
+}
+
+/// What goes on in the same direction as before is followed by this share, whatever the play.
+const GOES_ON: f64 = 0.75;
+
+impl Servo {
+    /// Whether what was seen to move in a step aside moved as the stage did, and, for a target that may be text, goes on as it does.
+    fn went_along(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        sight: &Sight<'_>,
+        seen: &Seen,
+    ) -> Result<bool, ServoError> {
+        let (centre, _) = sight.centres();
+        let way = |parallax: &Parallax| {
+            let lay = parallax.second_from_first.inverse()?.apply(centre);
+            Some([lay[0] - centre[0], lay[1] - centre[1]])
+        };
+        let home = sight.station.pose;
+        let stands = scope.gate().position()?;
+        let aside = Station {
+            pose: PlanarPose::from(&stands),
+            ..sight.station
+        };
+        if !way(&seen.parallax).is_some_and(|way| aside.follows(&home, way, FOLLOWS)) {
+            return Ok(false);
+        }
+        if !aside.still || self.proof.followed {
+            return Ok(true);
+        }
+        let on = PlanarPose {
+            x_m: [0, 1].map(|k| 2.0 * aside.pose.x_m[k] - home.x_m[k]),
+            ..aside.pose
+        };
+        let on = on.request(&stands);
+        if scope.gate().check(&on).is_err() {
+            return Ok(false);
+        }
+        let pose = PlanarPose::from(&scope.move_to(&on)?);
+        let objective = &task.view_calibration.objective;
+        let image = gray(&grab(scope, sink, FrameRole::Aside, objective)?)?;
+        let features = features(&image, &task.vision.view)?;
+        let (first, second) = ((&seen.image, &seen.features), (&image, &features));
+        let parallax = Parallax::of(first, second, &task.vision.registration);
+        let there = Station { pose, ..aside };
+        self.proof.followed = parallax
+            .and_then(|parallax| way(&parallax))
+            .is_some_and(|way| there.follows(&aside.pose, way, GOES_ON));
+        Ok(self.proof.followed)
     }
 }

@@ -31,6 +31,7 @@ fn digits() -> Vec<Mark> {
         dot_px: 3,
         level: 1.0,
         box_level: Some(0.0),
+        packed: false,
     }]
 }
 

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Bench, Listener, PLACE_UM, bench, bench_over, one_objective, options};
-use scopeservo_scope::{Axis, ObjectiveId};
+use scopeservo_scope::{Axis, ObjectiveId, StagePose};
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Calibration, Event, NoSink, Outcome, Reason, Reposition,
     SaveOptions, SaveTarget, ServoEnd, ServoError, Target, Verdict, VisionOptions, run,
@@ -216,6 +216,7 @@ fn blank_glass_with_dust_text_or_a_reticle_is_not_saved() {
             dot_px: 2,
             level: 1.0,
             box_level: Some(0.0),
+            packed: false,
         },
         Mark::Reticle {
             centre_px: [320.0, 240.0],
@@ -331,6 +332,61 @@ fn an_ordinary_run_makes_no_move_for_the_proof_and_one_that_begins_at_the_goal_s
         outcome.message
     );
     assert!(bench.error_from(&aim).0 <= 1.0);
+}
+
+/// "X:99.9 Y:20.0" becomes "X:100.1 Y:20.0": all that follows shifts by a letter, as a specimen would.
+#[test]
+fn text_that_shifts_by_a_letter_as_digits_come_is_not_the_specimen() {
+    let line = Mark::StagePlace {
+        at_px: [40, 200],
+        dot_px: 3,
+        level: 0.0,
+        box_level: None,
+        packed: true,
+    };
+    let mut tried = 0;
+    for (phi_deg, x_um, lambda) in [
+        (-90.0, 95.0, 0.7),
+        (90.0, 95.0, 0.7),
+        (90.0, 95.0, 0.2),
+        (90.0, 105.0, 0.2),
+        (0.0, 95.0, 0.7),
+        (180.0, 98.0, 0.2),
+    ] {
+        let mut config = by_hand();
+        config.mount.phi_deg = phi_deg;
+        let known = {
+            let bench = bench(config.clone());
+            let objective = bench.scope.gate().objectives()[0].clone();
+            let id = objective.id.clone();
+            let (options, vision) = (CalibrateOptions::default(), VisionOptions::default());
+            let mut calibrate = Calibrate::new(objective, options, vision);
+            (id, run(&mut calibrate, &bench.scope, &mut NoSink).unwrap())
+        };
+        config.camera.dust.clear();
+        config.camera.marks = vec![line.clone()];
+        let bench = bench_over(config, Arc::new(Blank), Vec::new());
+        let stand = |x_um: f64| {
+            let to = StagePose::default().with_si(Axis::X, x_um * 1e-6);
+            let to = to.with_si(Axis::Y, -2468.3e-6);
+            bench.scope.move_to(&to).unwrap();
+        };
+        stand(x_um);
+        let aim = bench.twin.truth_now();
+        let target = save_still(&bench);
+        for away_um in [0.0, 3.0, -3.0, 8.0, -8.0] {
+            bench.twin.remount(PLACE_UM, [38.0, -24.0], 0.0, false);
+            stand(x_um + away_um);
+            let mut options = options();
+            options.servo.lambda = lambda;
+            let mut run_to =
+                Reposition::new(target.clone(), options).with_calibrations([known.clone()]);
+            let outcome = run(&mut run_to, &bench.scope, &mut NoSink).unwrap();
+            is_true(&bench, &outcome, &aim);
+            tried += 1;
+        }
+    }
+    assert_eq!(tried, 30);
 }
 
 #[test]

@@ -85,7 +85,7 @@ pub enum Mark {
         #[serde(default)]
         box_level: Option<f64>,
     },
-    /// Like text: the stage's reported place. The labels stay, the digits follow the stage.
+    /// Like text: the stage's reported place. The labels stay, unless packed, and the digits follow the stage.
     StagePlace {
         /// Its upper left corner.
         at_px: [i64; 2],
@@ -96,6 +96,9 @@ pub enum Mark {
         /// Brightness of the box behind it; none without.
         #[serde(default)]
         box_level: Option<f64>,
+        /// Without blanks before the digits: what follows shifts by a letter as digits come.
+        #[serde(default)]
+        packed: bool,
     },
     /// A cross hair with ticks and circles in the eyepiece's plane: it takes light, and is as noisy as the picture.
     Reticle {

@@ -105,6 +105,7 @@ fn the_digits_in_the_picture_follow_the_stage() {
             dot_px: 2,
             level: 1.0,
             box_level: Some(0.0),
+            packed: false,
         }];
     });
     let bench = Bench::new(config, grey(0.5));

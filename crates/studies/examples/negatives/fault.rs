@@ -184,6 +184,7 @@ fn place(rng: &mut SplitMix64) -> Mark {
         dot_px: 1 + rng.below(3),
         level,
         box_level,
+        packed: false,
     }
 }
 

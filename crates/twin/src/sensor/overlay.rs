@@ -20,7 +20,8 @@ pub(super) fn write(config: &CameraConfig, top: u16, place: &StagePose, levels: 
                 dot_px,
                 level,
                 box_level,
-            } => (digits(place), at_px, dot_px, level, box_level),
+                packed,
+            } => (digits(place, *packed), at_px, dot_px, level, box_level),
             Mark::Reticle { .. } => continue,
         };
         let number = |share: f64| (share * f64::from(top)).round() as u16;
@@ -35,12 +36,13 @@ pub(super) fn write(config: &CameraConfig, top: u16, place: &StagePose, levels: 
     }
 }
 
-/// "X:1234.5 Y:-20.0 Z:3.1", um, for the axes that there are. Labels keep their places.
-pub(super) fn digits(place: &StagePose) -> String {
+/// "X:1234.5 Y:-20.0 Z:3.1", um, for the axes that there are. Labels keep their places, unless packed.
+pub(super) fn digits(place: &StagePose, packed: bool) -> String {
+    let wide = if packed { 0 } else { 8 };
     let axes = [("X", Axis::X), ("Y", Axis::Y), ("Z", Axis::Z)];
     let told: Vec<String> = axes
         .iter()
-        .filter_map(|&(label, axis)| Some(format!("{label}:{:>8.1}", place.si(axis)? * 1e6)))
+        .filter_map(|&(label, axis)| Some(format!("{label}:{:>wide$.1}", place.si(axis)? * 1e6)))
         .collect();
     told.join(" ")
 }

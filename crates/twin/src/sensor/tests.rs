@@ -317,6 +317,7 @@ fn burnt_in_text_stays_and_digits_follow_the_stage() {
                 dot_px: 1,
                 level: 0.0,
                 box_level: Some(1.0),
+                packed: false,
             },
         ],
         white_level: 0.5,
@@ -339,7 +340,8 @@ fn burnt_in_text_stays_and_digits_follow_the_stage() {
         "{changed:?}"
     );
     let place = StagePose::default().with_si(Axis::X, -12.34e-6);
-    assert_eq!(overlay::digits(&place), "X:   -12.3");
+    assert_eq!(overlay::digits(&place, false), "X:   -12.3");
+    assert_eq!(overlay::digits(&place, true), "X:-12.3");
 }
 
 #[test]
