@@ -283,7 +283,7 @@ impl Servo {
         }
         let pose = PlanarPose::from(&scope.move_to(&on)?);
         let objective = &task.view_calibration.objective;
-        let image = gray(&grab(scope, sink, FrameRole::Aside, objective)?)?;
+        let image = gray(scope, &*grab(scope, sink, FrameRole::Aside, objective)?)?;
         let features = features(&image, &task.vision.view)?;
         let (first, second) = ((&seen.image, &seen.features), (&image, &features));
         let parallax = Parallax::of(first, second, &task.vision.registration);

@@ -2,10 +2,12 @@
 
 use crate::aside::{Aside, Seen, step_aside};
 use crate::fixed::Place;
+use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
 use crate::pattern::look_around;
 use crate::procedure::{Procedure, Progress};
-use crate::vision::{features, grab, gray, same_objective};
+use crate::proof::{FOLLOWS, Station};
+use crate::vision::{centre_px, features, grab, gray, same_objective};
 use crate::{Calibration, FrameRole, ServoError, Sink, VisionOptions};
 use base64::Engine as _;
 use scopeservo_registration::likeness::Pair;
@@ -276,6 +278,14 @@ impl SaveTarget {
         let of = (&objective, self.um_per_px(scope, &objective)?);
         let first = (&*image, &target.features);
         let aside = step_aside(scope, sink, of, vision, first, home)?;
+        if let Aside::Seen(seen) = &aside
+            && !self.went_along(scope, home, seen)?
+        {
+            let now = PlanarPose::from(&scope.gate().position()?);
+            let way_m = [0, 1].map(|k| now.x_m[k] - home.x_m[k]);
+            let moved_um = 1e6 * f64::hypot(way_m[0], way_m[1]);
+            return Ok(Aside::Nothing { moved_um });
+        }
         if matches!(&aside, Aside::Seen(seen) if seen.fixed.is_empty()) {
             return Ok(aside);
         }
@@ -286,6 +296,33 @@ impl SaveTarget {
         target.periods_px = periods(&cleaned.image);
         (target.features, *image) = (cleaned.features, cleaned.image);
         Ok(Aside::Seen(Box::new(cleaned.seen)))
+    }
+
+    /// Whether what was seen to move moved as the stage did; without a calibration nobody can tell.
+    fn went_along(
+        &self,
+        scope: &Instrument,
+        home: &PlanarPose,
+        seen: &Seen,
+    ) -> Result<bool, ServoError> {
+        let Some(calibration) = &self.options.calibration else {
+            return Ok(true);
+        };
+        let info = scope.gate().info();
+        let here = Station {
+            pose: PlanarPose::from(&scope.gate().position()?),
+            calibration,
+            kinematics: info.kinematics,
+            pose_sigma: pose_sigma(info),
+            still: false,
+        };
+        let centre = centre_px(seen.image.width(), seen.image.height());
+        let lay = seen.parallax.second_from_first.inverse();
+        Ok(lay.is_some_and(|first_from_second| {
+            let lay = first_from_second.apply(centre);
+            let way = [lay[0] - centre[0], lay[1] - centre[1]];
+            here.follows(home, way, FOLLOWS)
+        }))
     }
 
     /// Size of a pixel: as calibrated, else as engraved.

@@ -76,7 +76,7 @@ fn a_run_stored_and_restored_at_every_step_ends_as_if_it_had_not_been() {
         let (target, _) = bench.save();
         bench.twin.remount(PLACE_UM, [38.0, -24.0], 3.0, false);
         if through_json {
-            run_through_json(Reposition::new(target, options()), &bench.scope)
+            run_through_json(target, &bench.scope)
         } else {
             bench.reposition(target).unwrap()
         }

@@ -5,7 +5,7 @@ mod common;
 use common::{Listener, PLACE_UM, options};
 use scopeservo_scope::{
     Axis, CancelToken, Clock, Devices, Instrument, Motion, Nosepiece, Objective, ObjectiveId,
-    ScopeError, VirtualClock,
+    Remedy, ScopeError, VirtualClock,
 };
 use scopeservo_servo::{
     Bring, Event, FocusOptions, Identify, NoSink, Phase, Reason, Reposition, ServoError, Target,
@@ -244,9 +244,21 @@ fn a_change_that_somebody_ends_says_where_the_stage_stays_and_how_to_go_on() {
     let z_um = |desk: &Desk| desk.scope.gate().position().unwrap().z.unwrap().um();
     let before = z_um(&desk);
     desk.somebody.state.lock().unwrap().refuses = true;
-    let said = desk.bring("40x").unwrap_err().to_string();
+    let ended = desk.bring("40x").unwrap_err();
+    let said = ended.to_string();
     assert!(said.contains("40x was not brought into the beam"), "{said}");
-    assert!(said.contains(&format!("--near-z-um {before:.1}")), "{said}");
+    let ServoError::Scope(ended) = ended else {
+        panic!("{said}");
+    };
+    let Some(Remedy::FocusNear {
+        objective,
+        z_um: near,
+    }) = ended.remedy()
+    else {
+        panic!("{said}");
+    };
+    assert_eq!(objective, ObjectiveId("40x".into()));
+    assert!((near - before).abs() < 0.1, "{near} {before}");
     assert!(z_um(&desk) < -1000.0, "{}", z_um(&desk));
     // And on.
     desk.somebody.state.lock().unwrap().refuses = false;

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Bench, Listener, PLACE_UM, bench, bench_over, one_objective, options};
 use scopeservo_scope::{
-    Axis, CancelToken, Clock, Instrument, MotionGate, ObjectiveId, StagePose, VirtualClock,
+    Axis, CancelToken, Clock, Instrument, ObjectiveId, StagePose, VirtualClock,
 };
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Calibration, Event, NoSink, Outcome, Procedure, Progress, Reason,
@@ -475,8 +475,11 @@ fn a_target_that_is_there_twice_in_the_widest_view_is_ambiguous() {
 
 /// An instrument of a microscope, as after a kill.
 fn opened(twin: &Twin, clock: &Arc<VirtualClock>) -> Instrument {
-    let gate = MotionGate::new(twin.stage(), twin.nosepiece(), twin.rules()).unwrap();
-    Instrument::new(gate, twin.camera(), clock.clone(), CancelToken::new())
+    let devices = scopeservo_scope::Devices {
+        clock: clock.clone(),
+        ..twin.devices()
+    };
+    Instrument::new(devices, twin.rules(), CancelToken::new()).unwrap()
 }
 
 /// Tissue on a microscope by whose clock all goes.
@@ -493,6 +496,7 @@ fn over_tissue(clock: &Arc<VirtualClock>) -> Bench {
 
 /// Steps a run until an event is one to stop at; what would be found of it after a kill.
 fn killed_at(
+    target: &Target,
     mut machine: Reposition,
     scope: &Instrument,
     here: impl Fn(&Event) -> bool,
@@ -503,7 +507,9 @@ fn killed_at(
         let ended = machine.step(scope, &mut sink).unwrap();
         assert_eq!(ended, Progress::Continue, "the run ended before");
     }
-    serde_json::from_str(&serde_json::to_string(&machine).unwrap()).unwrap()
+    let stored: Reposition =
+        serde_json::from_str(&serde_json::to_string(&machine).unwrap()).unwrap();
+    stored.with_target(target.clone())
 }
 
 #[test]
@@ -513,9 +519,9 @@ fn a_run_killed_after_its_step_aside_servos_on_and_arrives() {
     bench.twin.settle_dust(&[hard_dust()], 3).unwrap();
     let aim = bench.twin.truth_now();
     for target in [save(&bench).unwrap(), save_still(&bench)] {
-        let machine = Reposition::new(target, options()).with_calibrations([calibration()]);
+        let machine = Reposition::new(target.clone(), options()).with_calibrations([calibration()]);
         let stepped = |event: &Event| matches!(event, Event::SteppedAside { .. });
-        let mut found = killed_at(machine, &bench.scope, stepped);
+        let mut found = killed_at(&target, machine, &bench.scope, stepped);
         let off = bench.error_from(&aim).0;
         assert!(off > 5.0, "it was killed aside: {off} um");
         let outcome = run(&mut found, &opened(&bench.twin, &clock), &mut NoSink).unwrap();
@@ -530,7 +536,7 @@ fn a_clock_that_begins_anew_between_two_confirming_frames_does_not_confirm_early
     let bench = over_tissue(&clock);
     let target = save(&bench).unwrap();
     bench.twin.remount(PLACE_UM, [38.0, -24.0], 1.0, false);
-    let machine = Reposition::new(target, options()).with_calibrations([calibration()]);
+    let machine = Reposition::new(target.clone(), options()).with_calibrations([calibration()]);
     let passed = |event: &Event| {
         matches!(
             event,
@@ -540,7 +546,7 @@ fn a_clock_that_begins_anew_between_two_confirming_frames_does_not_confirm_early
             }
         )
     };
-    let mut found = killed_at(machine, &bench.scope, passed);
+    let mut found = killed_at(&target, machine, &bench.scope, passed);
     // All was switched off and on, and the view is still there.
     let since = clock.now().seconds();
     let clock = Arc::<VirtualClock>::default();

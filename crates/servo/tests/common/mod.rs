@@ -99,11 +99,14 @@ impl Bench {
     }
 }
 
-/// Steps a run, serialising and restoring it between all steps.
-pub fn run_through_json(mut machine: Reposition, scope: &Instrument) -> Outcome {
+/// Steps a run, serialising and restoring it between all steps; its target is kept elsewhere.
+pub fn run_through_json(target: Target, scope: &Instrument) -> Outcome {
+    let target = std::sync::Arc::new(target);
+    let mut machine = Reposition::new(target.clone(), options());
     loop {
         let stored = serde_json::to_string(&machine).unwrap();
-        machine = serde_json::from_str(&stored).unwrap();
+        let restored: Reposition = serde_json::from_str(&stored).unwrap();
+        machine = restored.with_target(target.clone());
         if let Progress::Done(outcome) = machine.step(scope, &mut NoSink).unwrap() {
             return outcome;
         }
