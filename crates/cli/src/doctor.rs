@@ -123,7 +123,7 @@ pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> 
         for check in conformance::check_instrument(&desk.scope) {
             findings.add(check.into());
         }
-        if desk.scope.gate().objective_is_unproven() {
+        if desk.scope.gate().objective_is_reported() {
             say!(
                 answer,
                 "    which objective is in was taken from you: `focus` and `calibrate` look at the picture"

@@ -4,10 +4,10 @@
 //! objectives are out of the way, and somebody has asked for a change. Nothing turns on connecting.
 
 use crate::session::{bad_setting, lock};
-use scopeservo_scope::{Motion, Nosepiece, Objective, ObjectiveId, ScopeError};
+use scopeservo_scope::{KnownBy, Motion, Nosepiece, Objective, ObjectiveId, ScopeError};
 use serde::Deserialize;
 use std::collections::HashSet;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 /// An objective and where the axis stands for it.
@@ -100,9 +100,7 @@ pub struct Turret {
     tolerance_deg: f64,
     doing: Mutex<Doing>,
     stops: AtomicU64,
-    /// Its zero is where it stood when the controller was switched on: somebody's word.
-    zero_is_given: bool,
-    unproven: AtomicBool,
+    known_by: KnownBy,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -132,8 +130,10 @@ impl Turret {
             tolerance_deg,
             doing: Mutex::new(Doing::Nothing),
             stops: AtomicU64::new(0),
-            zero_is_given,
-            unproven: AtomicBool::new(zero_is_given),
+            known_by: match zero_is_given {
+                true => KnownBy::Count,
+                false => KnownBy::Sensor,
+            },
         }
     }
 
@@ -236,24 +236,12 @@ impl Nosepiece for Turret {
             *doing = Doing::Stopped;
             // A stepper may have run on uncounted.
             self.axis.invalidate_position();
-            if self.zero_is_given {
-                self.unproven.store(true, Ordering::SeqCst);
-            }
         }
         Ok(())
     }
 
-    fn is_unproven(&self) -> bool {
-        self.unproven.load(Ordering::SeqCst)
-    }
-
-    fn prove(&self) {
-        self.unproven.store(false, Ordering::SeqCst);
-    }
-
-    fn disprove(&self) -> bool {
-        // It would turn to the same place again.
-        false
+    fn known_by(&self) -> KnownBy {
+        self.known_by
     }
 }
 
@@ -404,13 +392,18 @@ mod tests {
         turret.stop().unwrap();
         turret.start_change(&id("20x")).unwrap();
         assert_eq!(axis.log(), ["to 180", "stop", "find"]);
-        // Without a switch it is somebody's word again.
+        // Without a switch it counts from where it was said to stand: behind a gate, a stop makes a report of that again.
         let turret = Turret::new(axis.clone(), &places(), 0.5, true);
         lock(&axis.state).known = true;
-        turret.prove();
-        turret.start_change(&id("40x")).unwrap();
-        turret.stop().unwrap();
-        assert!(turret.is_unproven());
+        assert_eq!(turret.known_by(), KnownBy::Count);
+        let stage = Box::new(scopeservo_scope::Absent::new());
+        let rules = scopeservo_scope::Rules::travel_only(scopeservo_scope::ChangeRule::Anywhere);
+        let gate = scopeservo_scope::MotionGate::new(stage, Box::new(turret), rules).unwrap();
+        gate.confirm_objective();
+        gate.start_change(&id("40x")).unwrap();
+        assert!(!gate.objective_is_reported());
+        gate.stop().unwrap();
+        assert!(gate.objective_is_reported());
     }
 
     #[test]

@@ -9,8 +9,8 @@ use scopeservo_drivers::gcode::{GcodeSettings, GcodeStage};
 use scopeservo_drivers::gcs2::{Gcs2Nosepiece, Gcs2Settings, Gcs2Stage};
 use scopeservo_drivers::turret::TurretPlace;
 use scopeservo_scope::{
-    Axis, AxisInfo, ChangeRule, Kinematics, Motion, MotionGate, Nosepiece, ObjectiveId, PositiveZ,
-    Rules, ScopeError, Stage, StagePose,
+    Axis, AxisInfo, ChangeRule, Kinematics, KnownBy, Motion, MotionGate, Nosepiece, ObjectiveId,
+    PositiveZ, Rules, ScopeError, Stage, StagePose,
 };
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -149,7 +149,7 @@ fn a_gcs2_controller_turns_a_nosepiece_too() {
     let emulator = hexapod(true);
     let stage = gcs2(&emulator).unwrap();
     let nosepiece = stage.nosepiece().unwrap();
-    assert!(!nosepiece.is_unproven());
+    assert_eq!(nosepiece.known_by(), KnownBy::Sensor);
     let gate = gate(stage, Box::new(nosepiece));
     changes(&gate, || emulator.truth()[6], true);
     assert!((emulator.truth()[2] + 1.0).abs() < 1e-9);
@@ -241,14 +241,12 @@ fn a_stepper_of_its_own_is_a_nosepiece() {
     settings.nosepiece.as_mut().unwrap().needs_homing = false;
     let board = GcodeStage::connect(tcp(&emulator.address()), &settings).unwrap();
     let nosepiece = Arc::new(board).nosepiece().unwrap();
-    // Where it stands is somebody's word.
-    assert!(nosepiece.is_unproven());
+    // Where it stands is what somebody said.
+    assert_eq!(nosepiece.known_by(), KnownBy::Count);
     assert_eq!(nosepiece.current(), Ok(Some(id("10x"))));
     nosepiece.start_change(&id("20x")).unwrap();
     assert_eq!(settled(|| nosepiece.poll()), Motion::Settled);
     assert!((emulator.turned_deg() - 60.0).abs() < 0.06);
-    nosepiece.prove();
-    assert!(!nosepiece.is_unproven());
     // Held up on the way, it does not claim to have arrived.
     nosepiece.start_change(&id("40x")).unwrap();
     std::thread::sleep(Duration::from_millis(30));

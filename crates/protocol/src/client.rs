@@ -235,6 +235,7 @@ impl Driver {
             Some(nosepiece) => Some(Box::new(RemoteNosepiece {
                 remote: remote("nosepiece"),
                 objectives: nosepiece.objectives().map_err(nonsense("nosepiece"))?,
+                known_by: nosepiece.known_by,
             }) as Box<dyn Nosepiece>),
             None => None,
         };

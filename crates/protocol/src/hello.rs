@@ -1,7 +1,8 @@
 //! What a driver says it is, and whether that makes sense.
 
 use scopeservo_scope::{
-    Axis, AxisInfo, CameraInfo, Channels, Kinematics, Objective, ObjectiveId, PositiveZ, StageInfo,
+    Axis, AxisInfo, CameraInfo, Channels, Kinematics, KnownBy, Nosepiece, Objective, ObjectiveId,
+    PositiveZ, StageInfo,
 };
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -120,6 +121,13 @@ pub struct NosepieceHello {
     pub name: String,
     /// What it carries.
     pub objectives: Vec<ObjectiveHello>,
+    /// How it knows which one is in the beam.
+    #[serde(default, skip_serializing_if = "is_sensed")]
+    pub known_by: KnownBy,
+}
+
+fn is_sensed(known_by: &KnownBy) -> bool {
+    *known_by == KnownBy::Sensor
 }
 
 /// An objective on the wire.
@@ -346,10 +354,12 @@ impl NosepieceHello {
         }
     }
 
-    pub(crate) fn of(name: &str, objectives: &[Objective]) -> Self {
+    pub(crate) fn of(name: &str, nosepiece: &dyn Nosepiece) -> Self {
         Self {
             name: name.into(),
-            objectives: objectives
+            known_by: nosepiece.known_by(),
+            objectives: nosepiece
+                .objectives()
                 .iter()
                 .map(|o| ObjectiveHello {
                     id: o.id.0.clone(),

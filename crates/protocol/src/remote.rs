@@ -4,8 +4,8 @@ use crate::hello::frame_bytes;
 use crate::link::{CallError, Link, Reply};
 use crate::message::{Call, Code, MotionReply, Place};
 use scopeservo_scope::{
-    Camera, CameraInfo, Clock, Frame, Light, Motion, Nosepiece, Objective, ObjectiveId, Samples,
-    ScopeError, Stage, StageInfo, StagePose, check_level,
+    Camera, CameraInfo, Clock, Frame, KnownBy, Light, Motion, Nosepiece, Objective, ObjectiveId,
+    Samples, ScopeError, Stage, StageInfo, StagePose, check_level,
 };
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -177,6 +177,7 @@ impl Stage for RemoteStage {
 pub(crate) struct RemoteNosepiece {
     pub(crate) remote: Remote,
     pub(crate) objectives: Vec<Objective>,
+    pub(crate) known_by: KnownBy,
 }
 
 #[derive(Deserialize)]
@@ -219,6 +220,10 @@ impl Nosepiece for RemoteNosepiece {
 
     fn stop(&self) -> Result<(), ScopeError> {
         self.remote.stop()
+    }
+
+    fn known_by(&self) -> KnownBy {
+        self.known_by
     }
 }
 

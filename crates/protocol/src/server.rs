@@ -92,7 +92,7 @@ impl Offer {
             nosepiece: devices
                 .nosepiece
                 .as_ref()
-                .map(|n| NosepieceHello::of(&self.name, n.objectives())),
+                .map(|n| NosepieceHello::of(&self.name, &**n)),
             light: devices.light.as_ref().map(|_| LightHello {
                 name: self.name.clone(),
             }),

@@ -1,9 +1,10 @@
-//! Homing and light pass from a program to our devices and back.
+//! Homing, light, and how a nosepiece knows its objective pass from a program to our devices and back.
 
 use scopeservo_protocol::{Driver, Offer, listen};
 use scopeservo_scope::{
-    Axis, AxisInfo, CancelToken, ChangeRule, Clock, Devices, Instrument, Kinematics, Light, Motion,
-    PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose, SystemClock, check_level,
+    Axis, AxisInfo, CancelToken, ChangeRule, Clock, Devices, Instrument, Kinematics, KnownBy,
+    Light, Motion, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError, Stage,
+    StageInfo, StagePose, SystemClock, check_level,
 };
 use std::net::TcpListener;
 use std::sync::{Arc, Mutex};
@@ -120,4 +121,67 @@ fn a_stage_is_homed_and_a_light_set_over_the_protocol() {
     drop(scope);
     // Who comes later is told that it knows where it is.
     assert!(open().gate().is_homed().unwrap());
+}
+
+/// Turned by somebody, who says so.
+struct Turned(Vec<Objective>, Mutex<Option<ObjectiveId>>);
+
+impl Nosepiece for Turned {
+    fn objectives(&self) -> &[Objective] {
+        &self.0
+    }
+    fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
+        Ok(self.1.lock().unwrap().clone())
+    }
+    fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
+        *self.1.lock().unwrap() = Some(to.clone());
+        Ok(())
+    }
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        Ok(Motion::Settled)
+    }
+    fn stop(&self) -> Result<(), ScopeError> {
+        Ok(())
+    }
+    fn known_by(&self) -> KnownBy {
+        KnownBy::Report
+    }
+}
+
+#[test]
+fn a_nosepiece_of_another_program_says_how_it_knows_its_objective() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    std::thread::spawn(move || {
+        let objective = |id: &str| Objective {
+            id: ObjectiveId(id.into()),
+            magnification: 100.0,
+            numerical_aperture: 0.25,
+            nominal_um_per_px: 1.0,
+        };
+        let turned = Turned(["10x", "40x"].map(objective).into(), Mutex::new(None));
+        let offer = Offer {
+            name: "turned".into(),
+            devices: Devices {
+                nosepiece: Some(Box::new(turned)),
+                ..Devices::none(Arc::new(SystemClock::new()))
+            },
+        };
+        listen(&listener, &offer, None, &|_| {})
+    });
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    let devices = Driver::connect(&address, None).unwrap().devices(&clock);
+    let rules = Rules::travel_only(ChangeRule::Anywhere);
+    let scope = Instrument::new(devices.unwrap(), rules, CancelToken::new()).unwrap();
+    let (gate, id) = (scope.gate(), ObjectiveId("40x".into()));
+    scope.select_objective(&id).unwrap();
+    assert!(gate.objective_is_reported());
+    gate.confirm_objective();
+    assert!(!gate.objective_is_reported());
+    // A picture shows another: whoever turned it is asked again.
+    assert!(gate.contradict_objective());
+    assert_eq!(gate.current_objective(), Ok(None));
+    scope.select_objective(&id).unwrap();
+    assert_eq!(gate.current_objective(), Ok(Some(id)));
+    assert!(gate.objective_is_reported());
 }

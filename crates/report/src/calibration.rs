@@ -273,9 +273,6 @@ mod tests {
             stage_from_pixel: map,
             rotation_centre_m: None,
             covariance: Some(covariance),
-            backlash_m: None,
-            parcentric_offset_m: None,
-            parfocal_offset_m: None,
         };
         let s = sigma(&c, |c| Some(c.reading()?.kx_px_per_m)).unwrap();
         assert!((s / (1e-3 * kx.abs()) - 1.0).abs() < 1e-3, "{s}");

@@ -1,6 +1,7 @@
 //! The motion gate: the one way to move a stage or turn a nosepiece. It refuses with a reason, and never clips.
 
 use crate::judge::{Judge, at_most};
+use crate::knowledge::Knowledge;
 use crate::{
     Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, ErrorKind, GateEvent, Motion, Nosepiece,
     Objective, ObjectiveId, Observer, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose,
@@ -46,6 +47,7 @@ pub struct MotionGate {
     /// What was begun last.
     way: Mutex<Option<Way>>,
     stops: AtomicU64,
+    knowledge: Knowledge,
     /// Once cancelled, nothing begins any more.
     cancel: CancelToken,
     /// That of the work under way: once cancelled, nothing of it begins any more.
@@ -71,6 +73,7 @@ impl MotionGate {
             .map(|o| o.id.clone())
             .collect();
         let ranges = rules.ranges(stage.info(), &ids)?;
+        let knowledge = Knowledge::new(nosepiece.known_by());
         Ok(Self {
             stage,
             nosepiece,
@@ -79,6 +82,7 @@ impl MotionGate {
             begin: Mutex::new(()),
             way: Mutex::new(None),
             stops: AtomicU64::new(0),
+            knowledge,
             cancel: CancelToken::new(),
             job: Mutex::new(None),
             observer: Mutex::new(None),
@@ -138,24 +142,30 @@ impl MotionGate {
         self.nosepiece.objectives()
     }
 
-    /// The objective in the beam; `None` while turning or unknown.
+    /// The objective in the beam; `None` while turning or unknown, and after a picture has contradicted what is reported.
     pub fn current_objective(&self) -> Result<Option<ObjectiveId>, ScopeError> {
-        self.nosepiece.current()
+        let told = self.nosepiece.current()?;
+        Ok(told.filter(|_| !self.knowledge.is_contradicted()))
     }
 
-    /// Whether only somebody's word tells which objective is in the beam.
-    pub fn objective_is_unproven(&self) -> bool {
-        self.nosepiece.is_unproven()
+    /// Whether the objective in the beam is only reported: no sensor tells, and no picture has borne it out.
+    pub fn objective_is_reported(&self) -> bool {
+        self.knowledge.is_reported()
     }
 
     /// A picture has shown that the objective in the beam is the one that [`MotionGate::current_objective`] tells.
-    pub fn prove_objective(&self) {
-        self.nosepiece.prove();
+    pub fn confirm_objective(&self) {
+        self.knowledge.confirm();
     }
 
     /// A picture has shown that it is another. Returns whether changing to it once more may help.
-    pub fn disprove_objective(&self) -> bool {
-        self.nosepiece.disprove()
+    pub fn contradict_objective(&self) -> bool {
+        self.knowledge.contradict()
+    }
+
+    /// What the instrument has learnt.
+    pub(crate) fn knowledge(&self) -> &Knowledge {
+        &self.knowledge
     }
 
     /// Where the stage says it is, all of its axes.
@@ -196,7 +206,11 @@ impl MotionGate {
 
     /// What the nosepiece is doing.
     pub fn poll_nosepiece(&self) -> Result<Motion, ScopeError> {
-        self.nosepiece.poll()
+        let motion = self.nosepiece.poll()?;
+        if motion != Motion::Moving {
+            self.knowledge.change_ended(motion == Motion::Settled);
+        }
+        Ok(motion)
     }
 
     /// Stops stage and nosepiece at once, from any thread. Harmless when nothing moves.
@@ -205,6 +219,7 @@ impl MotionGate {
     /// What the devices report; both were told all the same.
     pub fn stop(&self) -> Result<(), ScopeError> {
         self.stops.fetch_add(1, Ordering::SeqCst);
+        self.knowledge.change_ended(false);
         // Neither waits for the other: they may be on different boards, and one may be past hearing.
         let told = std::thread::scope(|s| {
             let nosepiece = s.spawn(|| self.nosepiece.stop());
@@ -397,7 +412,11 @@ impl MotionGate {
         if let Some(breach) = self.judge(std::slice::from_ref(to)).breach(&here) {
             return Err(breach.into());
         }
-        self.begun(self.nosepiece.start_change(to))?;
+        let answer = self.nosepiece.start_change(to);
+        if !answer.as_ref().is_err_and(is_refusal) {
+            self.knowledge.change_begun();
+        }
+        self.begun(answer)?;
         self.stopped_meanwhile(stops)
     }
 
@@ -477,10 +496,7 @@ impl MotionGate {
 
     /// A device that failed to begin may have begun in part: what moves is stopped. A refusal moved nothing.
     fn begun(&self, answer: Result<(), ScopeError>) -> Result<(), ScopeError> {
-        if answer
-            .as_ref()
-            .is_err_and(|e| e.kind() != ErrorKind::Refused)
-        {
+        if answer.as_ref().is_err_and(|e| !is_refusal(e)) {
             // Its own fault is the news.
             let _ = self.stop();
         }
@@ -510,16 +526,20 @@ impl MotionGate {
         !self.rules.objective_limits.is_empty() || !self.rules.zones.is_empty()
     }
 
-    /// Objectives that may be in the beam: all of them when nobody knows, or only somebody's word tells.
+    /// Objectives that may be in the beam: all of them when nobody knows, or it is only reported.
     fn in_beam(&self) -> Result<Vec<ObjectiveId>, ScopeError> {
         if !self.narrows() {
             // Nobody asks.
             return Ok(Vec::new());
         }
-        let told = self.nosepiece.current()?;
-        Ok(match told.filter(|_| !self.nosepiece.is_unproven()) {
+        let told = self.current_objective()?;
+        Ok(match told.filter(|_| !self.objective_is_reported()) {
             Some(id) => vec![id],
             None => self.objectives().iter().map(|o| o.id.clone()).collect(),
         })
     }
+}
+
+fn is_refusal(error: &ScopeError) -> bool {
+    error.kind() == ErrorKind::Refused
 }

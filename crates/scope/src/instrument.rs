@@ -40,8 +40,6 @@ pub struct Instrument {
     camera: Arc<dyn Camera>,
     light: Option<Box<dyn Light>>,
     clock: Arc<dyn Clock>,
-    /// Where each objective was last in focus.
-    focus: Mutex<BTreeMap<ObjectiveId, Length>>,
     /// What lies on the camera, as far as it was seen.
     flat_field: Mutex<Option<Arc<FlatField>>>,
     /// Where the present command's first move found the stage.
@@ -92,7 +90,6 @@ impl Instrument {
             camera: devices.camera.unwrap_or_else(|| Box::new(none())).into(),
             light: devices.light,
             clock: devices.clock,
-            focus: Mutex::new(BTreeMap::new()),
             flat_field: Mutex::new(None),
             began: Mutex::new(None),
             moves: AtomicU64::new(0),
@@ -162,15 +159,15 @@ impl Instrument {
         self.gate.objective(id)
     }
 
-    /// Tells at which height of the stage an objective is in focus. The differences between objectives predict where the next one
+    /// Tells at which z of the stage an objective is in focus. The differences between objectives predict where the next one
     /// will be.
     pub fn focus_found(&self, id: &ObjectiveId, z: Length) {
-        self.focus_heights_mut().insert(id.clone(), z);
+        self.gate.knowledge().focus().insert(id.clone(), z);
     }
 
     /// Where each objective was last in focus.
-    pub fn focus_heights(&self) -> BTreeMap<ObjectiveId, Length> {
-        self.focus_heights_mut().clone()
+    pub fn focus_positions(&self) -> BTreeMap<ObjectiveId, Length> {
+        self.gate.knowledge().focus().clone()
     }
 
     /// What lies on the camera, as far as it was seen: every procedure divides it out of what it sees.
@@ -187,11 +184,7 @@ impl Instrument {
 
     /// Takes back what [`Instrument::focus_found`] told: it was another objective.
     pub fn forget_focus(&self, id: &ObjectiveId) {
-        self.focus_heights_mut().remove(id);
-    }
-
-    fn focus_heights_mut(&self) -> std::sync::MutexGuard<'_, BTreeMap<ObjectiveId, Length>> {
-        self.focus.lock().unwrap_or_else(|e| e.into_inner())
+        self.gate.knowledge().focus().remove(id);
     }
 
     /// Moves and waits until the stage has settled, and sees that it is where it was sent. Returns where it says it is.
@@ -348,8 +341,8 @@ impl Instrument {
         })?;
         if let Some(work) = work {
             let here = work.here_m;
-            let heights = self.focus_heights();
-            let known = before.and_then(|old| Some((heights.get(&old)?, heights.get(id)?)));
+            let focus = self.focus_positions();
+            let known = before.and_then(|old| Some((focus.get(&old)?, focus.get(id)?)));
             let expected = match known {
                 Some((old, new)) => here + (new.m() - old.m()),
                 None => side.away(here, margin),

@@ -51,6 +51,19 @@ impl Objective {
     }
 }
 
+/// How a nosepiece knows which objective is in the beam.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum KnownBy {
+    /// A sensor tells.
+    #[default]
+    Sensor,
+    /// It counts from where it stood when somebody said which one was in.
+    Count,
+    /// Somebody who was asked to turn it says so.
+    Report,
+}
+
 /// A motorised (or hand-turned) nosepiece. A change is started and polled.
 pub trait Nosepiece: Send + Sync {
     /// The objectives it carries.
@@ -63,14 +76,9 @@ pub trait Nosepiece: Send + Sync {
     fn poll(&self) -> Result<Motion, ScopeError>;
     /// Stops at once where the hardware can.
     fn stop(&self) -> Result<(), ScopeError>;
-    /// Whether only somebody's word tells which objective is in the beam: then a picture has to show it before anything leans on it.
-    fn is_unproven(&self) -> bool {
-        false
-    }
-    /// A picture has shown that [`Nosepiece::current`] tells the truth.
-    fn prove(&self) {}
-    /// A picture has shown that it does not. Returns whether another change to the same objective may bring it into the beam.
-    fn disprove(&self) -> bool {
-        false
+    /// How it knows what [`Nosepiece::current`] tells. What is not sensed has to be shown by a picture before anything leans on it; the
+    /// instrument keeps what pictures have shown.
+    fn known_by(&self) -> KnownBy {
+        KnownBy::Sensor
     }
 }

@@ -4,9 +4,9 @@ use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 use scopeservo_scope::{
     Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, ErrorKind, GateEvent, Instrument,
-    Kinematics, LargestStep, Length, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId,
-    PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose, Timestamp, VirtualClock, Workspace,
-    Zone,
+    Kinematics, KnownBy, LargestStep, Length, Limits, Motion, MotionGate, Nosepiece, Objective,
+    ObjectiveId, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose, Timestamp,
+    VirtualClock, Workspace, Zone,
 };
 use std::collections::BTreeMap;
 use std::sync::mpsc;
@@ -925,7 +925,7 @@ fn an_ellipsoid_gives_each_axis_what_the_others_leave() {
 }
 
 /// The same devices where somebody says which objective is in.
-struct Hearsay(Devices, std::sync::atomic::AtomicBool);
+struct Hearsay(Devices);
 
 impl Nosepiece for Hearsay {
     fn objectives(&self) -> &[Objective] {
@@ -943,19 +943,16 @@ impl Nosepiece for Hearsay {
     fn stop(&self) -> Result<(), ScopeError> {
         Nosepiece::stop(&self.0)
     }
-    fn is_unproven(&self) -> bool {
-        !self.1.load(std::sync::atomic::Ordering::SeqCst)
-    }
-    fn prove(&self) {
-        self.1.store(true, std::sync::atomic::Ordering::SeqCst);
+    fn known_by(&self) -> KnownBy {
+        KnownBy::Report
     }
 }
 
 #[test]
 fn until_a_picture_shows_the_objective_the_rules_of_all_hold() {
     let devices = Devices::new();
-    let hearsay = Hearsay(devices.clone(), false.into());
-    let gate = MotionGate::new(Box::new(devices), Box::new(hearsay), rules()).unwrap();
+    let hearsay = Hearsay(devices.clone());
+    let gate = MotionGate::new(Box::new(devices.clone()), Box::new(hearsay), rules()).unwrap();
     assert_eq!(gate.current_objective(), Ok(Some(id("10x"))));
     // Beyond what 40x may, within what 10x may.
     let beyond = StagePose::default().with_si(Axis::X, NARROW_X + 1e-4);
@@ -963,8 +960,17 @@ fn until_a_picture_shows_the_objective_the_rules_of_all_hold() {
         gate.check(&beyond),
         Err(ScopeError::OutsideLimits { .. })
     ));
-    gate.prove_objective();
+    gate.confirm_objective();
     assert_eq!(gate.check(&beyond), Ok(()));
+    // Shown to be another one, it is unknown until somebody was asked again, also for the same.
+    assert!(gate.contradict_objective());
+    assert_eq!(gate.current_objective(), Ok(None));
+    assert!(gate.check(&beyond).is_err());
+    gate.start_change(&id("10x")).unwrap();
+    (0..3).for_each(|_| devices.world().tick());
+    assert_eq!(gate.poll_nosepiece(), Ok(Motion::Settled));
+    assert_eq!(gate.current_objective(), Ok(Some(id("10x"))));
+    assert!(gate.objective_is_reported());
 }
 
 #[test]

@@ -56,7 +56,7 @@ impl Bring {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Progress<Option<FocusResult>> {
-        if !scope.gate().objective_is_unproven() {
+        if !scope.gate().objective_is_reported() {
             return Progress::Done(self.found);
         }
         self.enter(scope, sink, Phase::Identify);
@@ -109,7 +109,8 @@ impl Bring {
                     // What was found in focus was with another objective.
                     scope.forget_focus(&self.objective);
                     // What fits no objective is no mistake of whoever turned it: the scales in the file may be wrong.
-                    let again = scope.gate().disprove_objective() && identity.looks_like.is_some();
+                    let again =
+                        scope.gate().contradict_objective() && identity.looks_like.is_some();
                     if !again || self.mistakes == MISTAKES {
                         return Err(ServoError::WrongObjective {
                             told: self.objective.clone(),

@@ -329,9 +329,6 @@ impl Calibrate {
                 &self.rotations,
                 pose_sigma,
             ),
-            backlash_m: None,
-            parcentric_offset_m: None,
-            parfocal_offset_m: None,
         };
         let (measured, nominal) = (calibration.um_per_px(), self.objective.nominal_um_per_px);
         let factor = (measured / nominal).max(nominal / measured);

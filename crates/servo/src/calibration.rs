@@ -28,12 +28,6 @@ pub struct Calibration {
     /// Covariance of (stage_from_pixel row-major in m/px, rotation_centre_m in m), when it is known. Without a rotation
     /// centre its rows and columns are zero.
     pub covariance: Option<[[f64; 6]; 6]>,
-    /// Play of x and y on reversal, metres, when measured.
-    pub backlash_m: Option<Vec2>,
-    /// Where this objective's optical axis lies from the reference objective's, stage axes, metres, when measured.
-    pub parcentric_offset_m: Option<Vec2>,
-    /// Height of this objective's focus above the reference objective's, metres, when measured.
-    pub parfocal_offset_m: Option<f64>,
 }
 
 fn known_schema<'de, D: serde::Deserializer<'de>>(from: D) -> Result<u32, D::Error> {
@@ -141,10 +135,18 @@ mod tests {
             stage_from_pixel,
             rotation_centre_m: Some([0.125, 0.0]),
             covariance: None,
-            backlash_m: None,
-            parcentric_offset_m: None,
-            parfocal_offset_m: None,
         }
+    }
+
+    #[test]
+    fn one_of_an_earlier_build_still_opens() {
+        let whole = calibration(Mat2([[1e-6, 0.0], [0.0, 1e-6]]));
+        let mut kept = serde_json::to_value(&whole).unwrap();
+        // Fields that were there, and never held anything that was read.
+        kept["backlash_m"] = serde_json::Value::Null;
+        kept["parcentric_offset_m"] = serde_json::Value::Null;
+        kept["parfocal_offset_m"] = 1.25e-5.into();
+        assert_eq!(serde_json::from_value::<Calibration>(kept).unwrap(), whole);
     }
 
     #[test]

@@ -95,9 +95,6 @@ mod tests {
             stage_from_pixel,
             rotation_centre_m: Some([0.125, 0.001]),
             covariance: None,
-            backlash_m: None,
-            parcentric_offset_m: None,
-            parfocal_offset_m: None,
         }
     }
 

@@ -226,7 +226,7 @@ impl Identify {
         }
         let identity = self.judge(scope, um_per_px);
         if identity.as_told {
-            scope.gate().prove_objective();
+            scope.gate().confirm_objective();
         }
         let event = Event::Identified {
             objective: self.objective.clone(),

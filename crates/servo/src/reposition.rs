@@ -9,7 +9,7 @@ use crate::{
     Bring, Calibrate, CalibrateOptions, Calibration, Engine, Event, FocusOptions, Phase, Servo,
     ServoEnd, ServoError, ServoOptions, Sink, Target, VisionOptions,
 };
-use scopeservo_scope::{Instrument, Length, ObjectiveId, ScopeError};
+use scopeservo_scope::{Instrument, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -135,7 +135,6 @@ pub struct Reposition {
     /// Objectives whose calibration was known before the run.
     #[serde(default)]
     known: BTreeSet<ObjectiveId>,
-    focus_um: BTreeMap<ObjectiveId, f64>,
     done: Vec<MagnificationResult>,
 }
 
@@ -150,7 +149,6 @@ impl Reposition {
             state: State::Begin,
             calibrations: BTreeMap::new(),
             known: BTreeSet::new(),
-            focus_um: BTreeMap::new(),
             done: Vec::new(),
         }
     }
@@ -271,7 +269,7 @@ impl Reposition {
         // A run that goes on after a kill may find another objective than it left, or one that nobody has looked at.
         if matches!(self.state, State::Calibrate(_) | State::Servo(_))
             && (scope.gate().current_objective()?.as_ref() != Some(&objective)
-                || scope.gate().objective_is_unproven())
+                || scope.gate().objective_is_reported())
         {
             self.state = self.bring();
             return Ok(None);
@@ -280,10 +278,7 @@ impl Reposition {
         match &mut self.state {
             State::Begin => {}
             State::Bring(bring) => {
-                if let Progress::Done(focused) = bring.step(scope, sink)? {
-                    if let Some(z) = focused.and_then(|f| f.z_um) {
-                        self.focus_um.insert(objective.clone(), z);
-                    }
+                if let Progress::Done(_) = bring.step(scope, sink)? {
                     if servo_here && self.known.contains(&objective) {
                         self.enter(scope, sink, Phase::Servo);
                         self.state = State::Servo(Box::default());
@@ -299,14 +294,7 @@ impl Reposition {
                 }
             }
             State::Calibrate(calibrate) => {
-                if let Progress::Done(mut calibration) = calibrate.step(scope, sink)? {
-                    let heights = (
-                        self.focus_um.get(&objective),
-                        self.focus_um.get(&target.objective),
-                    );
-                    if let (Some(here), Some(there)) = heights {
-                        calibration.parfocal_offset_m = Some(Length::from_um(here - there).m());
-                    }
+                if let Progress::Done(calibration) = calibrate.step(scope, sink)? {
                     self.calibrations.insert(objective, calibration);
                     if servo_here {
                         self.enter(scope, sink, Phase::Servo);

@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{Bench, PLACE_UM, bench, bench_over, one_objective, options, run_through_json};
+use common::{Bench, PLACE_UM, bench, bench_over, one_objective, run_through_json};
 use scopeservo_scope::{Axis, AxisRange, Kinematics};
-use scopeservo_servo::{Reason, Reposition, Verdict};
+use scopeservo_servo::{Reason, Verdict};
 use scopeservo_twin::{Config, StageConfig, StageFault};
 
 /// Saves a view, puts the slide back 45 um away and turned, and comes back.

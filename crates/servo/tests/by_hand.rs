@@ -4,8 +4,8 @@ mod common;
 
 use common::{Listener, PLACE_UM, options};
 use scopeservo_scope::{
-    Axis, CancelToken, Clock, Devices, Instrument, Motion, Nosepiece, Objective, ObjectiveId,
-    Remedy, ScopeError, VirtualClock,
+    Axis, CancelToken, Clock, Devices, Instrument, KnownBy, Motion, Nosepiece, Objective,
+    ObjectiveId, Remedy, ScopeError, VirtualClock,
 };
 use scopeservo_servo::{
     Bring, Event, FocusOptions, Identify, NoSink, Phase, Reason, Reposition, ServoError, Target,
@@ -28,7 +28,6 @@ struct Told {
     /// What will be turned to instead.
     mistakes: VecDeque<&'static str>,
     told: Option<ObjectiveId>,
-    proven: bool,
     asked: Vec<String>,
     /// Will not turn it.
     refuses: bool,
@@ -52,7 +51,7 @@ impl Nosepiece for Somebody {
             Some(wrong) => ObjectiveId(wrong.into()),
             None => to.clone(),
         };
-        (state.told, state.proven) = (Some(to.clone()), false);
+        state.told = Some(to.clone());
         self.real.start_change(&turned)
     }
     fn poll(&self) -> Result<Motion, ScopeError> {
@@ -64,15 +63,8 @@ impl Nosepiece for Somebody {
     fn stop(&self) -> Result<(), ScopeError> {
         self.real.stop()
     }
-    fn is_unproven(&self) -> bool {
-        !self.state.lock().unwrap().proven
-    }
-    fn prove(&self) {
-        self.state.lock().unwrap().proven = true;
-    }
-    fn disprove(&self) -> bool {
-        self.state.lock().unwrap().told = None;
-        true
+    fn known_by(&self) -> KnownBy {
+        KnownBy::Report
     }
 }
 

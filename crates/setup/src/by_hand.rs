@@ -1,6 +1,6 @@
 //! Nosepieces without a motor: one that somebody turns, and one that nobody can.
 
-use scopeservo_scope::{Motion, Nosepiece, Objective, ObjectiveId, ScopeError};
+use scopeservo_scope::{KnownBy, Motion, Nosepiece, Objective, ObjectiveId, ScopeError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Asks somebody to bring an objective into the beam, and waits while the second argument says that the answer is wanted. `false` when
@@ -18,8 +18,6 @@ pub(crate) struct ByHand {
 struct State {
     current: Option<ObjectiveId>,
     motion: Motion,
-    /// Whether a picture has shown that it is there.
-    proven: bool,
     /// Counts the requests, so that a late answer to a stopped one changes nothing.
     asked: u64,
 }
@@ -37,7 +35,6 @@ impl ByHand {
             objectives,
             ask,
             state: Arc::new(Mutex::new(State {
-                proven: only.is_some(),
                 current: only,
                 motion: Motion::Settled,
                 asked: 0,
@@ -72,7 +69,6 @@ impl Nosepiece for ByHand {
             }
             state.current = None;
             state.motion = Motion::Moving;
-            state.proven = false;
             state.asked += 1;
             state.asked
         };
@@ -104,18 +100,12 @@ impl Nosepiece for ByHand {
         Ok(())
     }
 
-    fn is_unproven(&self) -> bool {
-        !lock(&self.state).proven
-    }
-
-    fn prove(&self) {
-        lock(&self.state).proven = true;
-    }
-
-    fn disprove(&self) -> bool {
-        // Whoever turned it can be asked again.
-        lock(&self.state).current = None;
-        true
+    fn known_by(&self) -> KnownBy {
+        match self.objectives.len() {
+            // There is no other.
+            1 => KnownBy::Sensor,
+            _ => KnownBy::Report,
+        }
     }
 }
 
@@ -161,14 +151,10 @@ mod tests {
         answer.send(true).unwrap();
         assert_eq!(settle(&nosepiece), Motion::Settled);
         assert_eq!(nosepiece.current(), Ok(Some(id("40x"))));
-        // That is somebody's word until a picture has shown it.
-        assert!(nosepiece.is_unproven());
-        nosepiece.prove();
-        assert!(!nosepiece.is_unproven());
-        assert!(nosepiece.disprove());
-        assert_eq!(nosepiece.current(), Ok(None));
+        // The instrument takes that for a report until a picture has shown it.
+        assert_eq!(nosepiece.known_by(), KnownBy::Report);
         nosepiece.start_change(&id("10x")).unwrap();
-        assert!(nosepiece.is_unproven());
+        assert_eq!(nosepiece.current(), Ok(None));
         answer.send(false).unwrap();
         assert_eq!(settle(&nosepiece), Motion::Stopped);
         assert_eq!(nosepiece.current(), Ok(None));
@@ -187,7 +173,7 @@ mod tests {
         let mut all = objectives();
         all.truncate(1);
         let nosepiece = ByHand::new(all, Arc::new(|_, _| false));
-        assert!(!nosepiece.is_unproven());
+        assert_eq!(nosepiece.known_by(), KnownBy::Sensor);
         assert_eq!(nosepiece.current(), Ok(Some(ObjectiveId("10x".into()))));
     }
 }

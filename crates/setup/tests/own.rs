@@ -165,7 +165,7 @@ fn a_nosepiece_on_the_stages_controller_turns_where_the_file_allows_it() {
     assert!((truth[6] - 90.0).abs() < 1e-6, "{truth:?}");
     assert!((truth[2] + 0.05).abs() < 1e-4, "{truth:?}");
     assert_eq!(gate.current_objective(), Ok(Some(id)));
-    assert!(!gate.objective_is_unproven());
+    assert!(!gate.objective_is_reported());
 }
 
 #[test]

@@ -135,7 +135,7 @@ impl<'a> Work<'a> {
     /// A calibration with what else is known of it; it is kept.
     pub fn keep_calibration(&mut self, calibration: Calibration) -> MadeCalibration {
         let objective = &calibration.objective;
-        let focus = self.scope().focus_heights();
+        let focus = self.scope().focus_positions();
         let made = MadeCalibration {
             residual_px: self.ears.residual_px.get(objective).copied(),
             focus_z_um: focus.get(objective).map(|z| z.um()),

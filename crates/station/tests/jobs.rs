@@ -134,7 +134,8 @@ fn a_job_pauses_between_steps_and_goes_on() {
     let (all, missed) = drain(&mut session.bus().listen_from(0));
     assert_eq!(missed, 0);
     let of_gate = all.iter().filter(|r| matches!(r.news, News::Gate(_)));
-    assert_eq!(of_gate.clone().count() as u64, 2 * bench_moves);
+    // Asked, begun, arrived.
+    assert_eq!(of_gate.clone().count() as u64, 3 * bench_moves);
     assert!(of_gate.clone().all(|r| r.job.is_some()));
 }
 

@@ -135,9 +135,6 @@ fn calibration(k: usize, off: f64) -> Calibration {
         stage_from_pixel: map,
         rotation_centre_m: Some([0.125_403 + 1e-4 * off, 0.000_066]),
         covariance: Some(covariance),
-        backlash_m: None,
-        parcentric_offset_m: None,
-        parfocal_offset_m: None,
     }
 }
 

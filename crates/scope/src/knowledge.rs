@@ -1,0 +1,132 @@
+//! What an instrument has learnt beside what its devices tell: whether pictures bear out which objective is in the beam, and where each
+//! objective was last in focus.
+
+use crate::{KnownBy, Length, ObjectiveId};
+use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Of one instrument, whatever its nosepiece.
+#[derive(Debug)]
+pub(crate) struct Knowledge {
+    known_by: KnownBy,
+    objective: Mutex<Objective>,
+    focus: Mutex<BTreeMap<ObjectiveId, Length>>,
+}
+
+/// What pictures have shown of the objective that the nosepiece reports.
+#[derive(Debug, Clone, Copy, Default)]
+struct Objective {
+    confirmed: bool,
+    contradicted: bool,
+    /// A change was begun, and nobody has seen its end.
+    changing: bool,
+}
+
+impl Knowledge {
+    /// Nothing was seen yet.
+    pub(crate) fn new(known_by: KnownBy) -> Self {
+        Self {
+            known_by,
+            objective: Mutex::default(),
+            focus: Mutex::default(),
+        }
+    }
+
+    fn objective(&self) -> MutexGuard<'_, Objective> {
+        self.objective
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether which objective is in the beam is only reported: neither sensed nor borne out by a picture.
+    pub(crate) fn is_reported(&self) -> bool {
+        self.known_by != KnownBy::Sensor && !self.objective().confirmed
+    }
+
+    /// Whether a picture has shown that it is another one than reported.
+    pub(crate) fn is_contradicted(&self) -> bool {
+        self.objective().contradicted
+    }
+
+    /// A picture has shown that the report is true.
+    pub(crate) fn confirm(&self) {
+        self.objective().confirmed = true;
+    }
+
+    /// A picture has shown that it is not. Returns whether another change to the same objective may bring it in.
+    pub(crate) fn contradict(&self) -> bool {
+        let mut objective = self.objective();
+        objective.confirmed = false;
+        // Whoever turned it can be asked again; what counts would turn to the same place.
+        objective.contradicted = self.known_by == KnownBy::Report;
+        objective.contradicted
+    }
+
+    /// A change was begun.
+    pub(crate) fn change_begun(&self) {
+        let mut objective = self.objective();
+        objective.changing = true;
+        objective.contradicted = false;
+        if self.known_by == KnownBy::Report {
+            objective.confirmed = false;
+        }
+    }
+
+    /// A change ended, at its goal or on its way.
+    pub(crate) fn change_ended(&self, arrived: bool) {
+        let mut objective = self.objective();
+        if std::mem::take(&mut objective.changing) && !arrived {
+            // What was counted may have run on uncounted.
+            objective.confirmed = false;
+        }
+    }
+
+    /// Where each objective was last in focus.
+    pub(crate) fn focus(&self) -> MutexGuard<'_, BTreeMap<ObjectiveId, Length>> {
+        self.focus.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_sensor_tells_needs_no_picture() {
+        let knowledge = Knowledge::new(KnownBy::Sensor);
+        knowledge.change_begun();
+        knowledge.change_ended(false);
+        assert!(!knowledge.is_reported() && !knowledge.contradict());
+        assert!(!knowledge.is_contradicted());
+    }
+
+    #[test]
+    fn what_is_counted_stays_shown_from_change_to_change_until_one_is_stopped() {
+        let knowledge = Knowledge::new(KnownBy::Count);
+        assert!(knowledge.is_reported());
+        knowledge.confirm();
+        knowledge.change_begun();
+        knowledge.change_ended(true);
+        // A stop of what stands changes nothing.
+        knowledge.change_ended(false);
+        assert!(!knowledge.is_reported());
+        knowledge.change_begun();
+        knowledge.change_ended(false);
+        assert!(knowledge.is_reported());
+        // It would turn to the same place again.
+        assert!(!knowledge.contradict() && !knowledge.is_contradicted());
+    }
+
+    #[test]
+    fn whoever_turns_by_hand_is_believed_anew_after_each_picture() {
+        let knowledge = Knowledge::new(KnownBy::Report);
+        knowledge.confirm();
+        assert!(!knowledge.is_reported());
+        knowledge.change_begun();
+        assert!(knowledge.is_reported());
+        knowledge.change_ended(true);
+        assert!(knowledge.contradict() && knowledge.is_contradicted());
+        knowledge.change_begun();
+        assert!(!knowledge.is_contradicted() && knowledge.is_reported());
+    }
+}
