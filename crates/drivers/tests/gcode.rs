@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Bench, detail, is_device, pose, tcp, wait};
+use common::{Bench, detail, is_device, link_faults, pose, tcp, wait};
 use scopeservo_drivers::emulator::Fault;
 use scopeservo_drivers::emulator::gcode::{Board, EmulatedBoard, GcodeEmulator};
 use scopeservo_drivers::gcode::{GcodeAxis, GcodeSettings, GcodeStage};
@@ -162,15 +162,6 @@ fn a_second_move_is_refused_while_one_runs() {
     assert_eq!(stage.poll().unwrap(), Motion::Stopped);
     stage.start_move(&pose(Axis::X, 0.0)).unwrap();
     assert_eq!(wait(&stage), Motion::Settled);
-}
-
-#[test]
-fn stops_on_the_way_are_quick_while_another_thread_polls() {
-    let bench = bench();
-    bench.stops_quickly();
-    // The answers to all stops are accounted for.
-    bench.stage.start_move(&pose(Axis::X, 0.0)).unwrap();
-    assert_eq!(wait(&bench.stage), Motion::Settled);
 }
 
 #[test]
@@ -425,51 +416,14 @@ fn a_board_that_starts_when_the_port_is_opened_is_waited_for() {
     });
 }
 
-fn fails(fault: Fault, first: fn(&ScopeError) -> bool, why: &str, hears: bool) {
-    bench().fails(GcodeStage::start_homing, fault, first, why, hears);
-}
-
-#[test]
-fn silence_is_a_time_out() {
-    fails(
-        Fault::Silence,
-        |e| matches!(e, ScopeError::Timeout { .. }),
-        "no answer",
-        true,
-    );
-}
-
-#[test]
-fn half_an_answer_is_told() {
-    fails(Fault::Half, is_device, "middle of a line", true);
-}
-
-#[test]
-fn an_answer_byte_by_byte_beyond_the_time_out_is_told() {
-    fails(Fault::SlowBytes(20), is_device, "middle of a line", true);
-}
-
-#[test]
-fn garbage_is_told() {
-    fails(Fault::Garbage, is_device, "not text", true);
-}
-
-#[test]
-fn an_endless_line_is_told() {
-    fails(Fault::EndlessLine, is_device, "more than 1024 bytes", false);
-}
-
-#[test]
-fn endless_lines_are_a_time_out() {
-    fails(Fault::EndlessLines, |_| true, "", false);
-}
-
-#[test]
-fn a_disconnection_on_the_way_is_told() {
-    fails(Fault::Disconnect, is_device, "closed the connection", false);
-}
-
-#[test]
-fn a_driver_that_ends_on_the_way_stops_the_stage() {
-    bench().ends();
+link_faults! {
+    own: GcodeStage::start_homing,
+    silence: |e| matches!(e, ScopeError::Timeout { .. }),
+    slow_bytes_ms: 20,
+    longest_line: 1024,
+    endless: (|_| true, ""),
+    after_stops: |stage: &GcodeStage| {
+        stage.start_move(&pose(Axis::X, 0.0)).unwrap();
+        assert_eq!(wait(stage), Motion::Settled);
+    },
 }

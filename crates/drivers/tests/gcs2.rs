@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Bench, detail, is_device, pose, refusal, tcp, wait};
+use common::{Bench, detail, is_device, link_faults, pose, refusal, tcp, wait};
 use scopeservo_drivers::emulator::Fault;
 use scopeservo_drivers::emulator::gcs2::{
     Controller, EmulatedAxis, EmulatedStage, Gcs2Emulator, Obeys,
@@ -311,14 +311,6 @@ fn pivot_and_velocity_are_set_and_read_back() {
 }
 
 #[test]
-fn stops_on_the_way_are_quick_while_another_thread_polls() {
-    let bench = bench();
-    bench.stops_quickly();
-    // What the stop left behind is read: the next command is not blamed for it.
-    bench.stage.set_platform_velocity_um_per_s(1000.0).unwrap();
-}
-
-#[test]
 fn a_stop_does_not_wait_for_an_answer_that_is_slow() {
     let (emulator, stage) = hexapod();
     stage.start_move(&pose(Axis::X, 20e-3)).unwrap();
@@ -502,48 +494,13 @@ fn eight_threads_may_ask_at_once() {
     stage.stop().unwrap();
 }
 
-fn fails(fault: Fault, first: fn(&ScopeError) -> bool, why: &str, hears: bool) {
-    bench().fails(Gcs2Stage::start_homing, fault, first, why, hears);
-}
-
-#[test]
-fn silence_is_a_time_out() {
-    fails(
-        Fault::Silence,
-        |e| matches!(e, ScopeError::Timeout { device: "stage", seconds } if *seconds == 0.3),
-        "no answer",
-        true,
-    );
-}
-
-#[test]
-fn half_an_answer_is_told() {
-    fails(Fault::Half, is_device, "middle of a line", true);
-}
-
-#[test]
-fn an_answer_byte_by_byte_beyond_the_time_out_is_told() {
-    fails(Fault::SlowBytes(20), is_device, "middle of a line", true);
-}
-
-#[test]
-fn garbage_is_told() {
-    fails(Fault::Garbage, is_device, "not text", true);
-}
-
-#[test]
-fn an_endless_line_is_told() {
-    fails(Fault::EndlessLine, is_device, "more than 1024 bytes", false);
-}
-
-#[test]
-fn endless_lines_are_told() {
-    fails(Fault::EndlessLines, is_device, "more than 64 lines", false);
-}
-
-#[test]
-fn a_disconnection_on_the_way_is_told() {
-    fails(Fault::Disconnect, is_device, "closed the connection", false);
+link_faults! {
+    own: Gcs2Stage::start_homing,
+    silence: |e| matches!(e, ScopeError::Timeout { device: "stage", seconds } if *seconds == 0.3),
+    slow_bytes_ms: 20,
+    longest_line: 1024,
+    endless: (is_device, "more than 64 lines"),
+    after_stops: |stage: &Gcs2Stage| stage.set_platform_velocity_um_per_s(1000.0).unwrap(),
 }
 
 #[test]
@@ -557,11 +514,6 @@ fn an_answer_that_comes_after_its_end_closes_the_link() {
     // A new connection works.
     let again = connect(&emulator, &settings()).unwrap();
     assert_eq!(again.poll().unwrap(), Motion::Settled);
-}
-
-#[test]
-fn a_driver_that_ends_on_the_way_stops_the_stage() {
-    bench().ends();
 }
 
 #[test]

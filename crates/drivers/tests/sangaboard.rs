@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Bench, detail, is_device, pose, tcp, wait};
+use common::{Bench, detail, is_device, link_faults, pose, tcp, wait};
 use scopeservo_drivers::emulator::Fault;
 use scopeservo_drivers::emulator::sangaboard::{EmulatedSanga, Sanga, SangaEmulator};
 use scopeservo_drivers::sangaboard::{SangaAxis, SangaSettings, SangaStage};
@@ -152,11 +152,6 @@ fn a_second_move_is_refused_while_one_runs() {
 }
 
 #[test]
-fn stops_on_the_way_are_quick_while_another_thread_polls() {
-    bench().stops_quickly();
-}
-
-#[test]
 fn stops_from_many_threads_do_not_mix_up_the_answers() {
     let (_emulator, stage) = start();
     stage.start_move(&pose(Axis::X, 2000e-6)).unwrap();
@@ -209,52 +204,14 @@ fn a_board_that_starts_when_the_port_is_opened_is_waited_for() {
     assert_eq!(wait(&stage), Motion::Settled);
 }
 
-fn fails(fault: Fault, first: fn(&ScopeError) -> bool, why: &str, hears: bool) {
-    bench().fails(SangaStage::release, fault, first, why, hears);
-}
-
-#[test]
-fn silence_is_a_time_out() {
-    let time_out = |e: &ScopeError| matches!(e, ScopeError::Timeout { .. });
-    fails(Fault::Silence, time_out, "no answer", true);
-}
-
-#[test]
-fn half_an_answer_is_told() {
-    fails(Fault::Half, is_device, "middle of a line", true);
-}
-
-#[test]
-fn an_answer_byte_by_byte_beyond_the_time_out_is_told() {
-    fails(Fault::SlowBytes(100), is_device, "middle of a line", true);
-}
-
-#[test]
-fn garbage_is_told() {
-    fails(Fault::Garbage, is_device, "not text", true);
-}
-
-#[test]
-fn an_endless_line_is_told() {
-    fails(Fault::EndlessLine, is_device, "more than 256 bytes", false);
-}
-
-#[test]
-fn answers_to_nothing_are_told() {
-    fails(
-        Fault::EndlessLines,
-        is_device,
-        "an answer could not be",
-        false,
-    );
-}
-
-#[test]
-fn a_disconnection_on_the_way_is_told() {
-    fails(Fault::Disconnect, is_device, "closed the connection", false);
-}
-
-#[test]
-fn a_driver_that_ends_on_the_way_stops_the_stage() {
-    bench().ends();
+link_faults! {
+    own: SangaStage::release,
+    silence: |e| matches!(e, ScopeError::Timeout { .. }),
+    slow_bytes_ms: 100,
+    longest_line: 256,
+    endless: (is_device, "an answer could not be"),
+    after_stops: |stage: &SangaStage| {
+        stage.start_move(&pose(Axis::X, 0.0)).unwrap();
+        assert_eq!(wait(stage), Motion::Settled);
+    },
 }

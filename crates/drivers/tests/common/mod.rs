@@ -2,6 +2,8 @@
 #![allow(
     dead_code,
     unreachable_pub,
+    unused_imports,
+    unused_macros,
     reason = "each test file uses its own part"
 )]
 
@@ -177,3 +179,74 @@ fn stands(truth: impl Fn() -> Vec<f64>, far: f64, why: &str) {
     assert_eq!(truth(), at, "{why} left it moving");
     assert!(at[0].abs() < 0.95 * far, "{why} let it arrive");
 }
+
+/// What every driver on a line makes of what can happen to the line while the stage moves. `bench()` of the test file starts a move;
+/// `own` is a call that only this driver has, `after_stops` what must go well
+/// after a hundred stops; the rest is what differs: the time-out of an answer, how slowly bytes come that never make
+/// an answer in time, the longest line, and what comes of answers without end.
+macro_rules! link_faults {
+    (
+        own: $own:expr,
+        silence: $silence:expr,
+        slow_bytes_ms: $slow:expr,
+        longest_line: $longest:expr,
+        endless: $endless:expr,
+        after_stops: $after:expr $(,)?
+    ) => {
+        fn fails(fault: Fault, first: fn(&ScopeError) -> bool, why: &str, hears: bool) {
+            bench().fails($own, fault, first, why, hears);
+        }
+
+        #[test]
+        fn silence_is_a_time_out() {
+            fails(Fault::Silence, $silence, "no answer", true);
+        }
+
+        #[test]
+        fn half_an_answer_is_told() {
+            fails(Fault::Half, is_device, "middle of a line", true);
+        }
+
+        #[test]
+        fn an_answer_byte_by_byte_beyond_the_time_out_is_told() {
+            fails(Fault::SlowBytes($slow), is_device, "middle of a line", true);
+        }
+
+        #[test]
+        fn garbage_is_told() {
+            fails(Fault::Garbage, is_device, "not text", true);
+        }
+
+        #[test]
+        fn an_endless_line_is_told() {
+            let why = format!("more than {} bytes", $longest);
+            fails(Fault::EndlessLine, is_device, &why, false);
+        }
+
+        #[test]
+        fn answers_without_end_are_told() {
+            let (first, why): (fn(&ScopeError) -> bool, &str) = $endless;
+            fails(Fault::EndlessLines, first, why, false);
+        }
+
+        #[test]
+        fn a_disconnection_on_the_way_is_told() {
+            fails(Fault::Disconnect, is_device, "closed the connection", false);
+        }
+
+        #[test]
+        fn a_driver_that_ends_on_the_way_stops_the_stage() {
+            bench().ends();
+        }
+
+        #[test]
+        fn stops_on_the_way_are_quick_while_another_thread_polls() {
+            let bench = bench();
+            bench.stops_quickly();
+            // What the stops left behind is accounted for: the next command is not blamed for it.
+            let after: fn(&_) = $after;
+            after(&bench.stage);
+        }
+    };
+}
+pub(crate) use link_faults;
