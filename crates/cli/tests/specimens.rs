@@ -1,21 +1,14 @@
 //! Real pairs: the same slide on two scanners is found, look-alike neighbours are not.
 
-#![expect(
-    clippy::print_stderr,
-    reason = "a skipped test says so where people look"
-)]
-
 mod common;
 
 use common::{code, json, scopeservo, stderr};
 use std::path::PathBuf;
 
-fn specimens() -> Option<PathBuf> {
-    let folder = std::env::var_os("SCOPESERVO_SPECIMENS").map(PathBuf::from);
-    if folder.is_none() {
-        eprintln!("skipped: SCOPESERVO_SPECIMENS is not set");
-    }
-    folder
+fn specimens() -> PathBuf {
+    std::env::var_os("SCOPESERVO_SPECIMENS")
+        .expect("SCOPESERVO_SPECIMENS names the folder of real slides")
+        .into()
 }
 
 fn register(view: PathBuf, target: PathBuf, level: &str) -> (i32, serde_json::Value) {
@@ -34,8 +27,9 @@ fn register(view: PathBuf, target: PathBuf, level: &str) -> (i32, serde_json::Va
 }
 
 #[test]
+#[ignore = "needs real slides: SCOPESERVO_SPECIMENS"]
 fn the_same_slide_on_two_scanners_is_found_at_every_level() {
-    let Some(folder) = specimens() else { return };
+    let folder = specimens();
     for level in ["0", "1", "2", "3", "4"] {
         let (a, b) = (
             folder.join("cytology_scanner_a.tif"),
@@ -56,8 +50,9 @@ fn the_same_slide_on_two_scanners_is_found_at_every_level() {
 }
 
 #[test]
+#[ignore = "needs real slides: SCOPESERVO_SPECIMENS"]
 fn the_next_section_of_a_series_is_not_found() {
-    let Some(folder) = specimens() else { return };
+    let folder = specimens();
     let (one, three) = (
         folder.join("olfactory_bulb_1.png"),
         folder.join("olfactory_bulb_3.png"),

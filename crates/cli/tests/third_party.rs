@@ -1,10 +1,7 @@
 //! Instruments of others, installed from their public packages: the same commands on them. `SCOPESERVO_PYTHON` names a Python that
-//! has `python/` of this project and `python/tests/requirements.txt`; without it these tests are skipped, with a word.
+//! has `python/` of this project and `python/tests/requirements.txt`; they are run with `--ignored`.
 
-#![expect(
-    clippy::print_stdout,
-    reason = "a skipped test says so, and what was measured is told"
-)]
+#![expect(clippy::print_stdout, reason = "what was measured is told")]
 
 mod common;
 
@@ -19,12 +16,10 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 
-fn python() -> Option<PathBuf> {
-    let python = std::env::var_os("SCOPESERVO_PYTHON").map(PathBuf::from);
-    if python.is_none() {
-        println!("skipped: SCOPESERVO_PYTHON names no Python with the drivers' libraries");
-    }
-    python
+fn python() -> PathBuf {
+    std::env::var_os("SCOPESERVO_PYTHON")
+        .expect("SCOPESERVO_PYTHON names a Python with the drivers' libraries")
+        .into()
 }
 
 fn repository() -> PathBuf {
@@ -135,8 +130,9 @@ fn there_and_back(folder: &Path, address: &str, by: [f64; 2]) -> f64 {
 }
 
 #[test]
+#[ignore = "needs a Python with the packages of python/tests/requirements.txt: SCOPESERVO_PYTHON"]
 fn micro_managers_beads_are_found_again() {
-    let Some(python) = python() else { return };
+    let python = python();
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
     let them = serve(
@@ -162,8 +158,9 @@ fn micro_managers_beads_are_found_again() {
 }
 
 #[test]
+#[ignore = "needs a Python with the packages of python/tests/requirements.txt: SCOPESERVO_PYTHON"]
 fn micro_managers_sample_is_found_again_across_two_objectives() {
-    let Some(python) = python() else { return };
+    let python = python();
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
     let them = serve(
@@ -231,8 +228,9 @@ fn drive_stage_aware_camera(here: &Path, them: &Served, nosepiece: &str) {
 }
 
 #[test]
+#[ignore = "needs a Python with the packages of python/tests/requirements.txt: SCOPESERVO_PYTHON"]
 fn python_microscopes_stage_aware_camera_is_driven_within_its_limits() {
-    let Some(python) = python() else { return };
+    let python = python();
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
     specimen(&here.join("specimen.png"), 2400);
@@ -259,8 +257,9 @@ impl Drop for DeviceServer {
 
 #[cfg(unix)]
 #[test]
+#[ignore = "needs a Python with the packages of python/tests/requirements.txt: SCOPESERVO_PYTHON"]
 fn and_so_it_is_behind_its_device_server() {
-    let Some(python) = python() else { return };
+    let python = python();
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
     specimen(&here.join("specimen.png"), 2400);
@@ -308,8 +307,9 @@ fn and_so_it_is_behind_its_device_server() {
 }
 
 #[test]
+#[ignore = "needs a Python with the packages of python/tests/requirements.txt: SCOPESERVO_PYTHON"]
 fn camera_stage_mapping_measures_the_twin_as_we_do() {
-    let Some(python) = python() else { return };
+    let python = python();
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
     let program = Path::new(env!("CARGO_BIN_EXE_scopeservo"));

@@ -239,10 +239,9 @@ mod tests {
     /// Against a real device, where `SCOPESERVO_VIDEO_DEVICE` names one that has 640 x 480 in yuyv, such as that of the kernel's
     /// `vivid`.
     #[test]
+    #[ignore = "needs a video device: SCOPESERVO_VIDEO_DEVICE"]
     fn a_video_device_gives_fresh_pictures() {
-        let Ok(path) = std::env::var("SCOPESERVO_VIDEO_DEVICE") else {
-            return;
-        };
+        let path = std::env::var("SCOPESERVO_VIDEO_DEVICE").unwrap();
         let mut settings = settings(&path);
         let clock = Arc::new(SystemClock::new());
         let camera = match v4l_camera(&settings, clock.clone()) {
