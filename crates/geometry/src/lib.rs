@@ -4,6 +4,15 @@
 //! Transforms are named `b_from_a` and map points of frame a to frame b. Everything here is a pure function; a seed is
 //! an argument. This crate knows neither images nor microscopes.
 
+#![cfg_attr(
+    not(test),
+    warn(
+        clippy::disallowed_methods,
+        clippy::disallowed_types,
+        clippy::disallowed_macros
+    )
+)]
+
 mod affine;
 mod fit;
 mod mat2;

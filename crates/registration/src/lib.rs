@@ -6,6 +6,15 @@
 //! 3. [`significance`]: a match set is *found* when so many agreeing places would come up by chance less than once in
 //!    `1 / false_alarms` registrations, the transform is a possible one, and it is determined well enough.
 
+#![cfg_attr(
+    not(test),
+    warn(
+        clippy::disallowed_methods,
+        clippy::disallowed_types,
+        clippy::disallowed_macros
+    )
+)]
+
 mod contest;
 mod correspond;
 pub mod likeness;

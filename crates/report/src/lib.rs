@@ -5,6 +5,15 @@
 //!
 //! Known to this crate: events, frames, calibrations. Unknown: how they came about, and files.
 
+#![cfg_attr(
+    not(test),
+    warn(
+        clippy::disallowed_methods,
+        clippy::disallowed_types,
+        clippy::disallowed_macros
+    )
+)]
+
 mod calibration;
 mod focus;
 mod matches;

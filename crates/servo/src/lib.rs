@@ -6,6 +6,9 @@
 //!
 //! Data flow one way: camera -> features -> match and fit -> homography -> pose error -> control -> stage.
 
+// One macro is in use: each thread keeps an engine (vision.rs).
+#![cfg_attr(not(test), warn(clippy::disallowed_methods, clippy::disallowed_types))]
+
 mod aside;
 mod bring;
 mod calibrate;

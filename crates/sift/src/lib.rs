@@ -29,6 +29,14 @@
 //! # Ok::<(), scopeservo_sift::SiftError>(())
 //! ```
 
+#![cfg_attr(
+    not(test),
+    warn(
+        clippy::disallowed_methods,
+        clippy::disallowed_types,
+        clippy::disallowed_macros
+    )
+)]
 #![allow(
     clippy::needless_range_loop,
     reason = "kernels walk several arrays of vectors side by side, and closures would hide from the compiler which instructions it may use"

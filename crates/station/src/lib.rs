@@ -7,6 +7,15 @@
 //!
 //! Nothing here prints, reads files or the wall clock, or keeps global state.
 
+#![cfg_attr(
+    not(test),
+    warn(
+        clippy::disallowed_methods,
+        clippy::disallowed_types,
+        clippy::disallowed_macros
+    )
+)]
+
 mod bus;
 mod error;
 mod job;
