@@ -207,7 +207,7 @@ fn taken(
     flat_field: Option<FlatField>,
 ) -> Result<Taken, String> {
     let seconds = |s: f64| Duration::try_from_secs_f64(s).map_err(|e| e.to_string());
-    if !(1..=16).contains(&how.bit_depth) || !(how.um_per_px > 0.0) {
+    if !(1..=16).contains(&how.bit_depth) || how.um_per_px.is_nan() || how.um_per_px <= 0.0 {
         return Err("its numbers are those of no picture".into());
     }
     let image = image::load_from_memory_with_format(png, image::ImageFormat::Png);
@@ -369,7 +369,7 @@ mod tests {
             sigma: 2.5,
             angle: -1.0,
             response: 0.01,
-            bright: i % 2 == 0,
+            bright: i.is_multiple_of(2),
             octave: i32::from(i) - 1,
             layer: 2,
         };

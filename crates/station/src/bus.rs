@@ -15,7 +15,7 @@ use scopeservo_scope::{Frame, Instrument};
 use scopeservo_servo::{FrameRole, Sink, Stamped};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, Mutex, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, Condvar, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
 /// What the log of recent events takes at most, about: half of a run over three objectives.
@@ -41,7 +41,7 @@ struct Shared {
     /// Listeners who have asked for a frame.
     watching: AtomicUsize,
     /// Whose clock the time is of.
-    instrument: OnceLock<Weak<Instrument>>,
+    instrument: Mutex<Option<Weak<Instrument>>>,
 }
 
 struct Log {
@@ -102,7 +102,7 @@ impl Bus {
             keeper: Mutex::new(None),
             frame_keeper: Mutex::new(None),
             watching: AtomicUsize::new(0),
-            instrument: OnceLock::new(),
+            instrument: Mutex::new(None),
         }))
     }
 
@@ -134,7 +134,7 @@ impl Bus {
 
     /// Tells what happens now.
     pub fn tell(&self, news: News) {
-        let instrument = self.0.instrument.get().and_then(Weak::upgrade);
+        let instrument = lock(&self.0.instrument).as_ref().and_then(Weak::upgrade);
         let time_s = instrument.map_or(0.0, |i| i.clock().now().seconds());
         self.tell_at(time_s, news);
     }
@@ -177,7 +177,7 @@ impl Bus {
 
     /// From now on the time is that of this instrument. The first one counts.
     pub(crate) fn time_of(&self, instrument: &Arc<Instrument>) {
-        let _ = self.0.instrument.set(Arc::downgrade(instrument));
+        lock(&self.0.instrument).get_or_insert_with(|| Arc::downgrade(instrument));
     }
 }
 
