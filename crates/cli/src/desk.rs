@@ -208,6 +208,9 @@ impl Desk {
             }
         }
         watcher.finish();
+        if let Some(lost) = self.journal.lost() {
+            answer.warn(Code::NotKept, lost);
+        }
         Ok(Ran {
             output: job.wait().map_err(CliError::from),
             made: self.journal.made(),

@@ -40,6 +40,8 @@ struct AtWork {
     head: Option<JournalHead>,
     /// Whether a job has a journal now.
     begun: bool,
+    /// Why it has none: it goes on all the same, and cannot be resumed.
+    lost: Option<String>,
     made: Vec<Made>,
 }
 
@@ -75,6 +77,35 @@ impl FileJournal {
         self.at_work().made.clone()
     }
 
+    /// Why the job had no journal, when it had none.
+    pub(crate) fn lost(&self) -> Option<String> {
+        self.at_work().lost.take()
+    }
+
+    /// Where things stand, before a step.
+    fn keep(
+        &self,
+        scope: &Instrument,
+        step: u64,
+        state: &dyn Fn() -> Result<Vec<u8>, JournalError>,
+    ) -> Result<(), JournalError> {
+        if let Some(head) = self.at_work().head.take() {
+            let begun = self.library.begin_journal(&self.instrument, &head);
+            begun.map_err(failed)?;
+        }
+        let gate = scope.gate();
+        let step = JournalStep {
+            step,
+            // What cannot be asked now cannot be compared later: then the job itself meets the fault.
+            stage: gate.position().unwrap_or_default(),
+            homed: gate.is_homed().unwrap_or(false),
+            objective: gate.current_objective().ok().flatten(),
+            state: serde_json::from_slice(&state()?).map_err(failed)?,
+        };
+        let kept = self.library.journal_step(&self.instrument, &step);
+        kept.map(drop).map_err(failed)
+    }
+
     /// The stage is about to be sent there.
     pub(crate) fn goes(&self, to: &StagePose) {
         if self.at_work().begun {
@@ -98,22 +129,17 @@ impl Journal for FileJournal {
         let Some(scope) = self.scope.upgrade() else {
             return Ok(());
         };
-        if let Some(head) = self.at_work().head.take() {
-            let begun = self.library.begin_journal(&self.instrument, &head);
-            begun.map_err(failed)?;
+        if self.at_work().lost.is_some() {
+            return Ok(());
         }
-        let gate = scope.gate();
-        let step = JournalStep {
-            step,
-            // What cannot be asked now cannot be compared later: then the job itself meets the fault.
-            stage: gate.position().unwrap_or_default(),
-            homed: gate.is_homed().unwrap_or(false),
-            objective: gate.current_objective().ok().flatten(),
-            state: serde_json::from_slice(&state()?).map_err(failed)?,
-        };
-        let kept = self.library.journal_step(&self.instrument, &step);
-        kept.map_err(failed)?;
-        self.at_work().begun = true;
+        let kept = self.keep(&scope, step, state);
+        let mut at_work = self.at_work();
+        at_work.begun = kept.is_ok();
+        if let Err(JournalError(why)) = kept {
+            // A state that is older than the stage's place is worse than none. The job itself loses nothing.
+            let _ = self.library.end_journal(&self.instrument);
+            at_work.lost = Some(format!("{why}. If it is killed, this job cannot go on"));
+        }
         Ok(())
     }
 

@@ -17,7 +17,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// A longer string of a state is a file of its own.
-const LONG: usize = 1024;
+const LONG: usize = 512;
 const BLOB: &str = "$blob";
 /// Where the stage was sent since the last step, a line each.
 const GOALS: &str = "goals.jsonl";
@@ -128,7 +128,7 @@ impl Journal for Folder {
         for (name, text) in blobs {
             let file = folder.join(&name);
             if !file.exists() {
-                files::replace(&file, text.as_bytes()).map_err(LibraryError::not_kept(&file))?;
+                files::renew(&file, text.as_bytes()).map_err(LibraryError::not_kept(&file))?;
                 written += text.len();
             }
         }

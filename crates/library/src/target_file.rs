@@ -14,8 +14,9 @@ use image::{DynamicImage, ExtendedColorType, ImageEncoder as _};
 use scopeservo_scope::{
     Channels, FlatField, Frame, Kinematics, ObjectiveId, Samples, StagePose, Timestamp,
 };
-use scopeservo_servo::{Calibration, Picture, Taken, Target};
-use scopeservo_sift::{Descriptor, Features, Keypoint};
+use scopeservo_servo::{
+    Calibration, Picture, Taken, Target, features_from_bytes, features_to_bytes,
+};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -26,9 +27,6 @@ use std::time::Duration;
 /// Version of the file.
 pub(crate) const TARGET_SCHEMA: u32 = 2;
 const SUMS: &str = "SHA256SUMS";
-const MAGIC: &[u8; 4] = b"SSF1";
-/// Bytes of a feature.
-const FEATURE: usize = 5 * 4 + 4 + 128;
 /// No member of a target is larger.
 const LARGEST: u64 = 1 << 28;
 
@@ -99,7 +97,7 @@ pub(crate) fn encode(kept: &KeptTarget) -> Result<(Vec<u8>, String), LibraryErro
             members.push(("shadows.png", cameras::to_png(shadows)?));
         }
     }
-    members.push(("features.bin", features(&target.features)));
+    members.push(("features.bin", features_to_bytes(&target.features)));
     let sums: String = members
         .iter()
         .map(|(name, bytes)| format!("{}  {name}\n", checksum(bytes)))
@@ -132,7 +130,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<KeptTarget, String> {
         ));
     }
     let head: Head = serde_json::from_value(head).map_err(|e| e.to_string())?;
-    let features = read_features(member("features.bin")?)?;
+    let features = features_from_bytes(member("features.bin")?)?;
     let shadows = members.get("shadows.png").map(|png| cameras::from_png(png));
     let taken = match head.taken {
         None => None,
@@ -273,66 +271,10 @@ fn picture(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
     Ok(png)
 }
 
-fn features(features: &Features) -> Vec<u8> {
-    let mut bytes = MAGIC.to_vec();
-    for number in [features.width, features.height, features.len()] {
-        bytes.extend((number as u32).to_le_bytes());
-    }
-    for (k, d) in features.keypoints.iter().zip(&features.descriptors) {
-        for v in [k.x, k.y, k.sigma, k.angle, k.response] {
-            bytes.extend(v.to_le_bytes());
-        }
-        bytes.extend([k.octave as i8 as u8, k.layer as u8, u8::from(k.bright), 0]);
-        bytes.extend(d.components());
-    }
-    bytes
-}
-
-fn read_features(bytes: &[u8]) -> Result<Features, String> {
-    let short = || "features.bin is cut off".to_owned();
-    let (magic, rest) = bytes.split_at_checked(4).ok_or_else(short)?;
-    let (sizes, rest) = rest.split_at_checked(12).ok_or_else(short)?;
-    let [width, height, count] = [0, 4, 8].map(|i| {
-        let mut four = [0; 4];
-        four.copy_from_slice(&sizes[i..i + 4]);
-        u32::from_le_bytes(four) as usize
-    });
-    if magic != MAGIC || count.checked_mul(FEATURE) != Some(rest.len()) {
-        return Err(short());
-    }
-    let mut features = Features {
-        width,
-        height,
-        ..Features::default()
-    };
-    for one in rest.chunks_exact(FEATURE) {
-        let real = |i: usize| {
-            let mut four = [0; 4];
-            four.copy_from_slice(&one[4 * i..4 * i + 4]);
-            f32::from_le_bytes(four)
-        };
-        features.keypoints.push(Keypoint {
-            x: real(0),
-            y: real(1),
-            sigma: real(2),
-            angle: real(3),
-            response: real(4),
-            octave: i32::from(one[20] as i8),
-            layer: u32::from(one[21]),
-            bright: one[22] != 0,
-        });
-        let mut components = [0; 128];
-        components.copy_from_slice(&one[24..]);
-        let descriptor = Descriptor::new(components).map_err(|e| e.to_string())?;
-        features.descriptors.push(descriptor);
-    }
-    features.check().map_err(|e| e.to_string())?;
-    Ok(features)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scopeservo_sift::{Descriptor, Features, Keypoint};
 
     fn kept(bit_depth: u8, channels: Channels) -> KeptTarget {
         let samples = 40 * 30 * if channels == Channels::Rgb { 3 } else { 1 };

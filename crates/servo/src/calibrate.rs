@@ -88,6 +88,7 @@ pub struct Calibrate {
     objective: Objective,
     state: State,
     reference_pose: Option<PlanarPose>,
+    #[serde(with = "crate::compact::features")]
     reference: Option<Features>,
     /// In how many translations a feature of the reference stayed where it was.
     #[serde(default)]

@@ -132,6 +132,7 @@ impl Parallax {
 pub struct FixedPlaces {
     width: usize,
     height: usize,
+    #[serde(with = "crate::compact::numbers")]
     places: Vec<[f32; 3]>,
 }
 

@@ -56,6 +56,7 @@ struct Witness {
     pose: PlanarPose,
     target_from_view: Affine2,
     /// x, y in the view, x, y in the target.
+    #[serde(with = "crate::compact::numbers")]
     places: Vec<[f32; 4]>,
 }
 

@@ -29,6 +29,7 @@ const UPS_AND_DOWNS: f64 = 2.5;
 pub(crate) struct Grid {
     /// Pixels of a cell.
     cell_px: f64,
+    #[serde(with = "crate::compact::cells")]
     cells: Vec<u32>,
 }
 

@@ -1,0 +1,279 @@
+//! The program killed at any moment of a job, and the job resumed by a new one on the same microscope, which keeps its place: it ends as if
+//! nothing had been. `SCOPESERVO_KILLS=300` for the long form.
+
+mod common;
+
+use common::{code, json, scopeservo, stderr};
+use scopeservo_geometry::SplitMix64;
+use serde_json::Value;
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// No state that is written before a step is larger.
+const LARGEST_STATE: u64 = 20_000;
+/// Of the stage's own noise and the target's own uncertainty, um.
+const NOISE_UM: f64 = 1.5;
+
+/// The simulated microscope, faster than life; it stays as it is when the program that drives it is killed.
+struct Served {
+    child: Child,
+    address: String,
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn serve(folder: &Path) -> Served {
+    let described = folder.join("twin.toml");
+    let text = "name = \"twin\"\n[drivers.twin.twin]\nseed = 4\nstage = \"xyz-theta\"\nobjectives = [\"40x\"]\n\
+                [devices]\nstage = \"twin\"\ncamera = \"twin\"\nnosepiece = \"twin\"\n\
+                [objective_change]\nretract_z_um = -2000\nmargin_um = 0\n";
+    fs::write(&described, text).unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_scopeservo"))
+        .args(["twin", "serve", "--listen", "127.0.0.1:0", "--speed", "100"])
+        .arg("--described-in")
+        .arg(described)
+        .stdin(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    said.read_line(&mut line).unwrap();
+    std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
+    let address = line.split("listens on ").nth(1).expect("an address");
+    let address = address.split(';').next().unwrap().to_owned();
+    Served { child, address }
+}
+
+fn describe(folder: &Path, address: &str) {
+    let text = format!(
+        "name = \"bench\"\n[drivers.main]\ntcp = \"{address}\"\n\
+         [devices]\nstage = \"main\"\ncamera = \"main\"\nnosepiece = \"main\"\n\
+         [limits]\nx_um = [-3000, 3000]\ny_um = [-3000, 3000]\n\
+         [objective_change]\nretract_z_um = -2000\nmargin_um = 0\n"
+    );
+    fs::write(folder.join("scopeservo.toml"), text).unwrap();
+}
+
+fn ok(folder: &Path, args: &[&str]) -> Value {
+    let output = scopeservo(folder, args);
+    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(code(&output), 0, "{args:?}: {} {told}", stderr(&output));
+    json(&output)
+}
+
+fn go(folder: &Path, x_um: f64, y_um: f64) -> Value {
+    let (x, y) = (format!("{x_um}"), format!("{y_um}"));
+    ok(
+        folder,
+        &["stage", "go", "--x-um", &x, "--y-um", &y, "--json"],
+    )["at"]
+        .clone()
+}
+
+/// Where the stage is: it is asked to go nowhere.
+fn place(folder: &Path) -> [f64; 2] {
+    let at = ok(folder, &["stage", "go", "--rx-deg", "0", "--json"]);
+    ["x_um", "y_um"].map(|k| at["from"][k].as_f64().unwrap())
+}
+
+/// Starts a job and kills its program after that time; whether it was still at work.
+fn killed(folder: &Path, args: &[&str], after: Duration) -> bool {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_scopeservo"))
+        .current_dir(folder)
+        .args(args)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(after);
+    let at_work = child.try_wait().unwrap().is_none();
+    let _ = child.kill();
+    child.wait().unwrap();
+    at_work
+}
+
+/// Kills a job once or more, and brings it to its end; how often something was left to go on with. `None` when no kill came in time.
+fn killed_and_resumed(
+    folder: &Path,
+    args: &[&str],
+    rng: &mut SplitMix64,
+    whole: Duration,
+) -> Option<(usize, Value)> {
+    let mut after = || whole.mul_f64((rng.next_u64() % 1000) as f64 / 1000.0);
+    if !killed(folder, args, after()) {
+        return None;
+    }
+    let mut resumed = 0;
+    let state = folder.join("scopeservo-data/journal/bench/state.json");
+    for kill_again in [true, false] {
+        let left = folder
+            .join("scopeservo-data/journal/bench/head.json")
+            .exists();
+        if !left {
+            // Killed before its first step, or after its last one.
+            return None;
+        }
+        if let Ok(state) = fs::metadata(&state) {
+            assert!(
+                state.len() <= LARGEST_STATE,
+                "a state of {} bytes",
+                state.len()
+            );
+        } else {
+            // Nothing had moved: it is begun anew.
+            ok(folder, &["abandon", "--json"]);
+            return None;
+        }
+        // Nothing else begins meanwhile.
+        let other = scopeservo(folder, &["focus", "--json"]);
+        assert_eq!(
+            json(&other)["error"]["code"],
+            "unfinished",
+            "{}",
+            stderr(&other)
+        );
+        resumed += 1;
+        if kill_again && killed(folder, &["resume", "--json"], after()) {
+            continue;
+        }
+        if !folder
+            .join("scopeservo-data/journal/bench/head.json")
+            .exists()
+        {
+            return None;
+        }
+        break;
+    }
+    Some((resumed, ok(folder, &["resume", "--json"])))
+}
+
+fn kills() -> usize {
+    let told = std::env::var("SCOPESERVO_KILLS").ok();
+    told.map_or(20, |n| n.parse().expect("a number of kills"))
+}
+
+#[test]
+fn a_job_that_is_killed_at_any_moment_ends_as_if_it_had_not_been() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    let twin = serve(here);
+    describe(here, &twin.address);
+    let mut rng = SplitMix64::new(20261126);
+    let timed = |args: &[&str]| {
+        let start = Instant::now();
+        let answer = ok(here, args);
+        (start.elapsed(), answer)
+    };
+    let calibrate = ["calibrate", "--json"];
+    let reposition = ["reposition", "spot", "--lambda", "0.7", "--json"];
+    ok(here, &["focus", "--json"]);
+    let (calibrating, made) = timed(&calibrate);
+    let scale = |made: &Value| {
+        let one = &made["calibrations"][0]["calibration"];
+        one["um_per_px"].as_f64().expect("a calibration was made")
+    };
+    let undisturbed = scale(&made);
+    go(here, 100.0, 50.0);
+    ok(here, &["target", "save", "spot", "--json"]);
+    let home = place(here);
+    go(here, 130.0, 30.0);
+    let (repositioning, _) = timed(&reposition);
+    let off = |at: [f64; 2]| f64::hypot(at[0] - home[0], at[1] - home[1]);
+    assert!(off(place(here)) < NOISE_UM, "{:?} {home:?}", place(here));
+
+    let (mut done, mut tried, mut resumed) = (0, 0, 0);
+    while done < kills() {
+        tried += 1;
+        assert!(
+            tried < 4 * kills() + 20,
+            "kills do not meet a job: {done} of {tried}"
+        );
+        let far = [100.0 + 0.03 * (rng.next_u64() % 1000) as f64, 35.0];
+        let ended = match tried % 4 {
+            0 => {
+                let ended = killed_and_resumed(here, &calibrate, &mut rng, calibrating);
+                if let Some((_, made)) = &ended {
+                    let off = (scale(made) / undisturbed - 1.0).abs();
+                    assert!(off < 0.02, "{off}");
+                }
+                ended
+            }
+            1 => {
+                go(here, far[0], far[1]);
+                let before = place(here);
+                let name = format!("spot-{tried}");
+                let save = ["target", "save", &name, "--json"];
+                let whole = Duration::from_millis(1500);
+                let ended = killed_and_resumed(here, &save, &mut rng, whole);
+                if ended.is_some() {
+                    let at = place(here);
+                    let moved = f64::hypot(at[0] - before[0], at[1] - before[1]);
+                    assert!(moved < NOISE_UM, "saved where it was: {moved}");
+                    ok(here, &["reposition", &name, "--lambda", "0.7", "--json"]);
+                }
+                ended
+            }
+            _ => {
+                go(here, far[0], far[1]);
+                let ended = killed_and_resumed(here, &reposition, &mut rng, repositioning);
+                if let Some((_, answer)) = &ended {
+                    assert_eq!(answer["verdict"], "arrived", "{answer}");
+                    assert!(off(place(here)) < NOISE_UM, "{:?} {home:?}", place(here));
+                }
+                ended
+            }
+        };
+        if let Some((times, _)) = ended {
+            done += 1;
+            resumed += times;
+        }
+    }
+    assert!(resumed >= done);
+}
+
+#[test]
+fn a_job_does_not_go_on_from_another_place_and_can_be_abandoned() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    let twin = serve(here);
+    describe(here, &twin.address);
+    assert_eq!(code(&scopeservo(here, &["resume"])), 2, "nothing is left");
+    // Killed until it is met in the middle.
+    let state = here.join("scopeservo-data/journal/bench/state.json");
+    let mut after = Duration::from_millis(400);
+    while !state.exists() {
+        killed(here, &["calibrate", "--json"], after);
+        after += Duration::from_millis(100);
+        assert!(after < Duration::from_secs(20), "never met at work");
+    }
+    let told = scopeservo(here, &["target", "save", "spot", "--json"]);
+    assert_eq!(code(&told), 3, "{}", stderr(&told));
+    let message = json(&told)["error"]["message"].as_str().unwrap().to_owned();
+    assert!(
+        message.contains("calibrate") && message.contains("resume"),
+        "{message}"
+    );
+    // Somebody moves the stage.
+    go(here, 1500.0, -900.0);
+    let refused = scopeservo(here, &["resume", "--json"]);
+    assert_eq!(code(&refused), 3, "{}", stderr(&refused));
+    let message = json(&refused)["error"]["message"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    assert!(message.contains("moved the stage"), "{message}");
+    let ended = ok(here, &["abandon", "--json"]);
+    assert!(ended["abandoned"].as_str().unwrap().contains("calibrate"));
+    assert!(ok(here, &["abandon", "--json"])["abandoned"].is_null());
+    ok(here, &["focus", "--json"]);
+}
