@@ -320,6 +320,12 @@ fn ctrl_c_stops_the_instrument_and_ends() {
     let mut said = String::new();
     std::io::Read::read_to_string(&mut child.stderr.take().unwrap(), &mut said).unwrap();
     assert!(said.contains("stopped on request"), "{said}");
-    // Nothing half done is kept.
-    assert!(!here.join("scopeservo-data").exists());
+    // Nothing half done is kept, and nothing waits to go on; the record says how it ended.
+    let data = here.join("scopeservo-data");
+    assert!(!data.join("calibrations").exists());
+    assert!(!data.join("journal/test%20bench/head.json").exists());
+    let mut runs = fs::read_dir(data.join("runs")).unwrap();
+    let answer = runs.next().unwrap().unwrap().path().join("answer.json");
+    let answer: serde_json::Value = serde_json::from_slice(&fs::read(answer).unwrap()).unwrap();
+    assert_eq!(answer["error"]["code"], "interrupted", "{answer}");
 }

@@ -177,7 +177,8 @@ impl Offer {
             Samples::U8(samples) => samples,
             Samples::U16(samples) => samples.iter().flat_map(|s| s.to_le_bytes()).collect(),
         };
-        let age = self.devices.clock.now().since(frame.exposure_start);
+        let clock = &self.devices.clock;
+        let age = clock.in_life(clock.now().since(frame.exposure_start));
         let head = json!({
             "width_px": frame.width,
             "height_px": frame.height,
