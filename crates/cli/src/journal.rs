@@ -193,20 +193,36 @@ pub(crate) fn what(left: &Journalled) -> String {
 pub(crate) fn standing(left: &Journalled, scope: &Instrument) -> String {
     let should = match &left.step {
         None => "nothing had moved for it".to_owned(),
-        Some(step) if left.goals.is_empty() => format!("the stage should stand at {}", step.stage),
-        Some(step) => {
-            let last = left.goals.last().copied().unwrap_or_default();
-            format!("the stage was sent from {} to {last}", step.stage)
-        }
+        Some(step) => match left.goals.last() {
+            None => format!("the stage should stand at {}", short(&step.stage)),
+            Some(last) => format!(
+                "the stage was sent from {} to {}",
+                short(&step.stage),
+                short(last)
+            ),
+        },
     };
     let says = match scope.gate().position() {
-        Ok(at) => format!("it says {at}"),
+        Ok(at) => format!("it says {}", short(&at)),
         Err(error) => format!("it does not say where it is: {error}"),
     };
     format!(
         "{} was under way when the program ended; {should}; {says}",
         what(left)
     )
+}
+
+/// A place in few words: tilts are left out where there are none.
+fn short(pose: &StagePose) -> String {
+    let axes = Axis::ALL.iter().filter_map(|axis| {
+        let si = pose.si(*axis)?;
+        let tilt = matches!(axis, Axis::Rx | Axis::Ry);
+        (!tilt || si.abs() > 1e-9).then(|| {
+            let name = format!("{axis:?}").to_lowercase();
+            format!("{name} = {}", shown(*axis, si))
+        })
+    });
+    axes.collect::<Vec<_>>().join(", ")
 }
 
 /// Why the job cannot go on from where the stage is now; `None` when it can.
