@@ -123,10 +123,10 @@ impl Bus {
     }
 
     /// Who hears everything from the event of that number on, as far as the log still has it: for a listener that was cut off.
-    pub fn listen_from(&self, sequence: u64) -> Listener {
+    pub fn listen_from(&self, number: u64) -> Listener {
         Listener {
             bus: self.clone(),
-            next: sequence,
+            next: number,
             frames: lock(&self.0.log).frames,
             watches: false,
         }
@@ -184,7 +184,7 @@ impl Bus {
 impl Log {
     fn take(&mut self, time_s: f64, news: News) -> Arc<Record> {
         let record = Arc::new(Record {
-            sequence: self.next,
+            number: self.next,
             time_s,
             job: self.job,
             news,
@@ -310,7 +310,7 @@ mod tests {
         let kept = Arc::new(Mutex::new(0));
         let keeper = kept.clone();
         bus.keep(Arc::new(move |r| {
-            assert_eq!(r.sequence, *lock(&keeper));
+            assert_eq!(r.number, *lock(&keeper));
             *lock(&keeper) += 1;
         }));
         let (mut brisk, mut slow) = (bus.listen(), bus.listen());
@@ -319,7 +319,7 @@ mod tests {
             let Some(Heard::Event(record)) = brisk.heard() else {
                 panic!("event {k} is missing");
             };
-            assert_eq!(record.sequence, k);
+            assert_eq!(record.number, k);
             assert_eq!(brisk.heard(), None);
         }
         let Some(Heard::Missed { events }) = slow.heard() else {
@@ -327,7 +327,7 @@ mod tests {
         };
         let mut rest = 0;
         while let Some(Heard::Event(record)) = slow.heard() {
-            assert_eq!(record.sequence, events + rest);
+            assert_eq!(record.number, events + rest);
             rest += 1;
         }
         assert_eq!(events + rest, 1000);
@@ -335,7 +335,7 @@ mod tests {
         assert_eq!(*lock(&kept), 1000);
         // One who was cut off goes on where it was.
         let mut again = bus.listen_from(998);
-        assert!(matches!(again.heard(), Some(Heard::Event(r)) if r.sequence == 998));
+        assert!(matches!(again.heard(), Some(Heard::Event(r)) if r.number == 998));
         assert_eq!(slow.wait(Duration::ZERO), None);
     }
 

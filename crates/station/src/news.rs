@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 /// One thing that happened: a line of the session's log.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
-    /// Counts from 0 without gaps.
-    pub sequence: u64,
+    /// Counts from 0 without gaps. (Frames have a `sequence` of their own.)
+    pub number: u64,
     /// Seconds on the instrument's clock.
     pub time_s: f64,
     /// The job that was under way.
@@ -120,5 +120,42 @@ impl Record {
         };
         // Names and messages, and what an allocation costs.
         size_of::<Self>() + beyond + 128
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scopeservo_servo::FrameRole;
+
+    /// Who tells stands beside what is told: no key of one may be a key of the other.
+    #[test]
+    fn a_record_comes_back_from_json() {
+        let objective = scopeservo_scope::ObjectiveId("40x".into());
+        let grabbed = Event::FrameGrabbed {
+            sequence: 7,
+            role: FrameRole::Servo,
+            objective,
+        };
+        let to = scopeservo_scope::StagePose::default();
+        let told = [
+            News::Procedure(Box::new(grabbed)),
+            News::Gate(GateEvent::MoveAsked { to }),
+            News::Station(StationEvent::JobEnded {
+                id: JobId(3),
+                how: Ended::Answered,
+            }),
+        ];
+        for news in told {
+            let record = Record {
+                number: 12,
+                time_s: 1.5,
+                job: Some(JobId(3)),
+                news,
+            };
+            let json = serde_json::to_string(&record).unwrap();
+            let back: Record = serde_json::from_str(&json).unwrap();
+            assert_eq!(back, record, "{json}");
+        }
     }
 }

@@ -70,7 +70,7 @@ fn a_listener_that_never_reads_costs_nothing_over_a_hundred_thousand_frames_and_
     };
     let mut rest = 0;
     while let Some(Heard::Event(record)) = never.heard() {
-        assert_eq!(record.sequence, missed + rest);
+        assert_eq!(record.number, missed + rest);
         rest += 1;
     }
     assert_eq!(missed + rest, events);

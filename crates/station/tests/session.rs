@@ -118,7 +118,7 @@ fn one_session_calibrates_stops_repositions_stops_and_repositions_to_the_end_whi
 
     // Who watched has heard how each job ended, or is told how much is gone.
     let (heard, missed) = drain(&mut bob);
-    let told = heard.last().unwrap().sequence + 1;
+    let told = heard.last().unwrap().number + 1;
     assert_eq!(heard.len() as u64 + missed, told - from);
     let mut ends = heard.iter().filter_map(|r| match &r.news {
         News::Station(StationEvent::JobEnded { how, .. }) => Some(how.clone()),
