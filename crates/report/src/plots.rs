@@ -4,7 +4,6 @@ use crate::model::{Report, view_name};
 use crate::svg::{Canvas, Key, Mark, Panel, Scale, WIDTH};
 use crate::text::{deg, fixed, um};
 use crate::timeline::Magnification;
-use scopeservo_servo::PoseError;
 
 const XY: [Key; 2] = [
     Key {
@@ -34,12 +33,14 @@ pub(crate) fn section(r: &Report<'_>, m: &Magnification<'_>) -> String {
     let lambda = lambda(m);
     let mut figures = vec![
         (
-            motion(m, "Error", "", |i| *i.error),
+            motion(m, "Error", "", |i| (i.error.t_m, i.error.theta_rad)),
             "Error <b>e</b>: where the view stands from the saved view, in the camera's axes."
                 .to_string(),
         ),
         (
-            motion(m, "Velocity", " / iteration", |i| *i.velocity),
+            motion(m, "Velocity", " / iteration", |i| {
+                (i.velocity.t_m, i.velocity.theta_rad)
+            }),
             "Velocity <b>v</b><sub>c</sub>: what is taken away next.".to_string(),
         ),
         (convergence(r, m, lambda), convergence_caption(r, lambda)),
@@ -76,18 +77,18 @@ fn motion(
     m: &Magnification<'_>,
     name: &str,
     per: &str,
-    of: impl Fn(&crate::timeline::Iteration<'_>) -> PoseError,
+    of: impl Fn(&crate::timeline::Iteration<'_>) -> ([f64; 2], f64),
 ) -> String {
-    let curve = |f: &dyn Fn(&PoseError) -> f64| -> Vec<[f64; 2]> {
+    let curve = |f: &dyn Fn(([f64; 2], f64)) -> f64| -> Vec<[f64; 2]> {
         let point = |i| {
             let i: &crate::timeline::Iteration<'_> = i;
-            [i.iteration as f64, f(&of(i))]
+            [i.iteration as f64, f(of(i))]
         };
         m.iterations.iter().map(point).collect()
     };
-    let x = curve(&|e| e.t_m[0] * 1e6);
-    let y = curve(&|e| e.t_m[1] * 1e6);
-    let theta = curve(&|e| e.angle_deg());
+    let x = curve(&|e| e.0[0] * 1e6);
+    let y = curve(&|e| e.0[1] * 1e6);
+    let theta = curve(&|e| e.1.to_degrees());
     let with_zero = |v: &[[f64; 2]]| v.iter().map(|p| p[1]).chain([0.0]).collect::<Vec<_>>();
     let mut c = Canvas::new(
         272.0,

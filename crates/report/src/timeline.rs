@@ -3,7 +3,7 @@
 use scopeservo_geometry::{Affine2, Vec2};
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{
-    Calibration, Event, FocusResult, FrameRole, Outcome, Phase, PoseError, Stamped,
+    Calibration, Event, FocusResult, FrameRole, Outcome, Phase, PoseError, Stamped, Velocity,
 };
 
 /// One frame of the servo in which the target was seen.
@@ -11,7 +11,7 @@ pub(crate) struct Iteration<'a> {
     pub(crate) iteration: usize,
     pub(crate) sequence: u64,
     pub(crate) error: &'a PoseError,
-    pub(crate) velocity: &'a PoseError,
+    pub(crate) velocity: &'a Velocity,
     pub(crate) target_from_view: &'a Affine2,
     pub(crate) inliers: usize,
     pub(crate) matches: usize,

@@ -4,12 +4,12 @@
 //! What is fixed to the camera (dust, a reticle, burnt-in text) stays while a translation moves the view, and counts in none of them. A
 //! rotation may leave the view's centre where it is; there what stayed in the translations is left out.
 
-use crate::aside::SEEN_PX;
 use crate::event::tell;
-use crate::fixed::LEAST_PX;
 use crate::hand_eye::{Observation, covariance, explained_px, pose_sigma, solve_hand_eye};
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress, withdrawn};
+use crate::proof::LEAST_PX;
+use crate::proof::SEEN_PX;
 use crate::vision::{centre_px, features, grab, gray, same_objective};
 use crate::{CALIBRATION_SCHEMA, Calibration, Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;

@@ -1,6 +1,6 @@
 //! What procedures tell: progress bar, report, replay and resume all read the same events.
 
-use crate::{Calibration, FocusResult, Identity, Outcome, PoseError};
+use crate::{Calibration, FocusResult, Identity, Outcome, PoseError, Velocity};
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Frame, Instrument, ObjectiveId, StagePose};
@@ -131,7 +131,7 @@ pub enum Event {
         /// The error e before the move.
         error: PoseError,
         /// The velocity v_c, per iteration.
-        velocity: PoseError,
+        velocity: Velocity,
         /// Target pixel from view pixel.
         target_from_view: Affine2,
         /// Agreeing places.

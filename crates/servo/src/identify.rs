@@ -1,11 +1,11 @@
 //! Which objective is in the beam, asked of the picture: where only somebody's word tells, a small move of the stage shows how many
 //! micrometres a pixel has.
 
-use crate::aside::SEEN_PX;
 use crate::event::tell;
-use crate::fixed::LEAST_PX;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress, withdrawn};
+use crate::proof::LEAST_PX;
+use crate::proof::SEEN_PX;
 use crate::vision::{centre_px, features, grab, gray, same_objective};
 use crate::{Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;

@@ -9,27 +9,23 @@
 // One macro is in use: each thread keeps an engine (vision.rs).
 #![cfg_attr(not(test), warn(clippy::disallowed_methods, clippy::disallowed_types))]
 
-mod aside;
 mod bring;
 mod calibrate;
 mod calibration;
 mod compact;
-mod control;
-mod end;
 mod error;
 mod event;
-mod fixed;
 mod focus;
 mod hand_eye;
 mod identify;
 mod kinematics;
-mod pattern;
+mod law;
+mod pose;
 mod procedure;
 mod proof;
 mod reposition;
 pub mod servo;
 mod sharpness;
-mod sight;
 mod target;
 mod trial;
 mod vision;
@@ -38,20 +34,23 @@ pub use bring::Bring;
 pub use calibrate::{Calibrate, CalibrateOptions};
 pub use calibration::{CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
 pub use compact::{features_from_bytes, features_to_bytes};
-pub use control::{PoseError, control_law, motion_of, pose_error};
-pub use end::{ServoEnd, ServoResult};
 pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};
-pub use fixed::FixedPlaces;
 pub use focus::{Focus, FocusOptions, FocusResult};
 pub use hand_eye::{Observation, solve_hand_eye};
 pub use identify::{Identify, Identity};
 pub use kinematics::{Motion2, PlanarPose, motion_between, pose_after};
+pub use law::{ControlLaw, Proportional, Velocity, control_law, motion_of};
+pub use pose::{PoseError, PoseEstimate, pose_error, pose_estimate};
 pub use procedure::{Procedure, Progress, run};
+pub use proof::FixedPlaces;
 pub use reposition::{
     MagnificationResult, Outcome, Reason, Reposition, RepositionOptions, Verdict,
 };
-pub use servo::{Servo, ServoOptions, ServoTask};
+pub use servo::Servo;
+pub use servo::end::{ServoEnd, ServoResult};
+pub use servo::options::{Law, ServoOptions};
+pub use servo::task::{ServoRun, ServoTask};
 pub use sharpness::sharpness;
 pub use target::{Picture, SaveOptions, SaveTarget, Taken, Target};
 pub use trial::{Drift, drift_seen, scale_seen};

@@ -3,11 +3,10 @@
 
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
-use crate::servo::ServoTask;
 use crate::target::{MIN_TARGET_FEATURES, rival_in_words};
 use crate::{
     Bring, Calibrate, CalibrateOptions, Calibration, Engine, Event, FocusOptions, Phase, Servo,
-    ServoEnd, ServoError, ServoOptions, Sink, Target, VisionOptions,
+    ServoEnd, ServoError, ServoOptions, ServoTask, Sink, Target, VisionOptions,
 };
 use scopeservo_scope::{Instrument, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
@@ -315,6 +314,7 @@ impl Reposition {
                     target_calibration: target_calibration.as_ref().ok_or_else(missing)?,
                     vision: &self.options.vision,
                     options: &self.options.servo,
+                    law: None,
                 };
                 if let Progress::Done(end) = servo.step(&task, scope, sink)? {
                     self.done.push(MagnificationResult {

@@ -1,11 +1,11 @@
 //! A saved view, and the saving: only what is seen to move with the stage counts, and what repeats itself is refused.
 
-use crate::aside::{Aside, Seen, step_aside};
-use crate::fixed::Place;
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
-use crate::pattern::look_around;
 use crate::procedure::{Procedure, Progress};
+use crate::proof::Place;
+use crate::proof::look_around;
+use crate::proof::{Aside, Seen, step_aside};
 use crate::proof::{FOLLOWS, Station};
 use crate::vision::{centre_px, features, grab, gray, same_objective};
 use crate::{Calibration, FrameRole, ServoError, Sink, VisionOptions};
@@ -197,7 +197,7 @@ impl SaveTarget {
         target.features = seen.fixed.without(&target.features).into_owned();
         let second = seen.fixed.without(&seen.features);
         let prior = Prior {
-            moved_px: Some(crate::fixed::LEAST_PX),
+            moved_px: Some(crate::proof::LEAST_PX),
             ..same_objective(0.05)
         };
         self.refuse_repetition(&target, image, (&seen.image, &second), &prior, |p| {

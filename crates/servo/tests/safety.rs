@@ -87,6 +87,7 @@ fn a_calibration_with_the_wrong_sign_is_stopped_before_it_runs_away() {
         target_calibration: &wrong,
         vision: &vision,
         options: &options,
+        law: None,
     };
     let mut servo = Servo::default();
     let end = loop {

@@ -1,86 +1,44 @@
-//! What the servo asks of a view beyond its pose: is this the specimen, is it the only place that looks like this, does it rest?
+//! What the servo asks of a view beyond its pose: is this the specimen, and is it the only place that looks like this?
 
-use crate::aside::{Aside, Seen, step_aside};
-use crate::fixed::Parallax;
+use super::Servo;
+use super::convergence::Criteria;
+use super::sight::{Located, Sight};
 use crate::procedure::Progress;
-use crate::proof::{Drift, FOLLOWS, Proved, Station, far_from_goal};
-use crate::servo::{Passed, ServoTask};
-use crate::vision::{centre_px, features, grab, gray};
-use crate::{FrameRole, PlanarPose, PoseError, Servo, ServoEnd, ServoError, ServoResult, Sink};
+use crate::proof::{Aside, FOLLOWS, Parallax, Proved, Seen, Station, far_from_goal, step_aside};
+use crate::vision::{features, grab, gray};
+use crate::{FrameRole, PlanarPose, ServoEnd, ServoError, ServoTask, Sink};
 use scopeservo_registration::likeness::Pair;
-use scopeservo_registration::{Estimate, Matched, Prior, Rival, find_rivals, shifted, undecided};
+use scopeservo_registration::{Estimate, Prior, Rival, find_rivals, shifted, undecided};
 use scopeservo_scope::Instrument;
-use scopeservo_sift::{Features, GrayImage};
-use std::time::Duration;
 
-/// How often one who waits looks whether a stop was asked for.
-const LOOK: Duration = Duration::from_millis(20);
 /// Where the target has no picture to ask, a rival that explains this share of the places is as good.
 const AS_GOOD: f64 = 0.8;
-
-/// One frame, as far as it was understood.
-pub(crate) struct Sight<'a> {
-    pub(crate) image: &'a GrayImage,
-    /// All its features.
-    pub(crate) seen: &'a Features,
-    /// Those that are not known to be fixed to the camera.
-    pub(crate) view: &'a Features,
-    /// The same of the target.
-    pub(crate) target: &'a Features,
-    pub(crate) matched: &'a Matched,
-    pub(crate) prior: &'a Prior,
-    /// Where the stage says that it was taken.
-    pub(crate) station: Station<'a>,
-}
-
-impl Sight<'_> {
-    /// The middle of the view and of the target.
-    fn centres(&self) -> ([f64; 2], [f64; 2]) {
-        (
-            centre_px(self.view.width, self.view.height),
-            centre_px(self.target.width, self.target.height),
-        )
-    }
-}
 
 /// What is believed of the places that agree.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Belief {
-    /// They are the specimen; and what those of them say that were seen to move, in a frame that passes.
-    Specimen(Option<Box<Estimate>>),
-    /// Those that were seen to move say that the view is not there yet, or not for sure.
-    NotThere(Box<Estimate>),
-    /// Some were not, and are left out from now on.
+    /// This transform, and whether it passes the convergence test.
+    Of(Box<Located>, bool),
+    /// Nothing more can be said.
+    Ended(ServoEnd),
+    /// Some places were not seen to move, and are left out from now on.
     LookAgain,
     /// Nobody knows: a step aside will show it.
     Unknown,
 }
 
 impl Servo {
-    /// Confirming frames lie some time apart: what drifts is seen to.
-    pub(crate) fn rest(
+    /// Whether the view is the specimen, and the only place that looks like this, where that matters.
+    pub(crate) fn believe(
         &mut self,
         task: &ServoTask<'_>,
-        scope: &Instrument,
-    ) -> Result<(), ServoError> {
-        let Some(before) = self.resting.filter(|_| task.is_arrival()) else {
-            return Ok(());
-        };
-        let until = before.time_s + task.options.confirmation_s;
-        loop {
-            let left = until - scope.clock().now().seconds();
-            // A clock that was started anew after a kill knows nothing of the frame before.
-            if left > task.options.confirmation_s {
-                self.passed.clear();
-                (self.resting, self.drift) = (None, Drift::default());
-                return Ok(());
-            }
-            // What is left of rounding is no time: a clock may not even move by it.
-            if left < 1e-6 {
-                return Ok(());
-            }
-            scope.clock().sleep(LOOK.min(Duration::from_secs_f64(left)));
-            scope.check_cancel()?;
+        test: &Criteria<'_>,
+        sight: &Sight<'_>,
+        passes: bool,
+    ) -> Belief {
+        match self.ambiguity(task, sight, passes) {
+            Some(end) => Belief::Ended(end),
+            None => self.belief(task, test, sight, passes),
         }
     }
 
@@ -88,13 +46,13 @@ impl Servo {
     ///
     /// In the target's own leg this is asked away from the goal, where what is fixed to the camera speaks for neither; before, at the
     /// first sight and at the end.
-    pub(crate) fn ambiguity(
+    fn ambiguity(
         &mut self,
         task: &ServoTask<'_>,
         sight: &Sight<'_>,
-        estimate: &Estimate,
         converged: bool,
     ) -> Option<ServoEnd> {
+        let estimate = &sight.located.estimate;
         let (centre, target_centre) = sight.centres();
         let due = match task.is_arrival() {
             true => far_from_goal(&estimate.target_from_view, centre, target_centre),
@@ -115,13 +73,13 @@ impl Servo {
 
     fn rival(&self, task: &ServoTask<'_>, sight: &Sight<'_>, estimate: &Estimate) -> Option<Rival> {
         let found = find_rivals(
-            sight.view,
-            sight.target,
+            sight.view.features(),
+            &sight.target,
             &sight.matched.registration,
             // Any angle that the first frame of a run would accept.
             &Prior {
                 rotation: None,
-                ..*sight.prior
+                ..sight.prior
             },
             &task.vision.registration,
             task.is_arrival(),
@@ -136,50 +94,58 @@ impl Servo {
             return rivals.into_iter().find(|r| r.significant && as_good(r));
         };
         let transform = &estimate.target_from_view;
-        let pair = Pair::new(sight.image, &picture, transform.linear.det().abs().sqrt());
+        let pair = Pair::new(
+            &sight.view.image,
+            &picture,
+            transform.linear.det().abs().sqrt(),
+        );
         let counts = |p| !self.proof.fixed.holds(p);
         undecided(&pair, transform, &rivals, true, counts)
     }
 
-    /// Whether what agrees in this frame is known to be the specimen, where that matters: in a frame that passes, and in one that did not
-    /// follow the stage.
-    pub(crate) fn belief(
+    /// Whether what agrees in this frame is known to be the specimen: asked of a frame that passes, and of one that did not follow the
+    /// stage.
+    fn belief(
         &mut self,
         task: &ServoTask<'_>,
+        test: &Criteria<'_>,
         sight: &Sight<'_>,
-        estimate: &Estimate,
-        error: &PoseError,
-        passes: Option<&dyn Fn(&Estimate) -> bool>,
+        passes: bool,
     ) -> Belief {
+        let as_seen = Belief::Of(Box::new(sight.located.clone()), passes);
         if !task.is_arrival() {
-            return Belief::Specimen(None);
+            return as_seen;
         }
         let um_per_px = task.target_calibration.um_per_px();
-        let stays = self.proof.does_not_follow(error.t_um(), um_per_px);
-        let Some(passes) = passes else {
-            let centres = sight.centres();
-            let registration = &sight.matched.registration;
-            let transform = &estimate.target_from_view;
-            self.proof
-                .witness(transform, registration, centres, sight.station.pose);
+        let error_um = sight.located.pose.error.t_um();
+        let stays = self.proof.does_not_follow(error_um, um_per_px);
+        let estimate = &sight.located.estimate;
+        if !passes {
+            self.proof.witness(
+                &estimate.target_from_view,
+                &sight.matched.registration,
+                sight.centres(),
+                sight.station.pose,
+            );
             return match stays && self.proof.may_step_aside() {
                 true => Belief::Unknown,
-                false => Belief::Specimen(None),
+                false => as_seen,
             };
-        };
+        }
         let proved = self.proof.judge(
-            (sight.view, sight.target),
-            sight.matched,
+            (sight.view.features(), &sight.target),
+            &sight.matched,
             estimate,
-            sight.prior,
+            &sight.prior,
             &task.vision.registration,
             &sight.station,
         );
         match proved {
-            Proved::Moved(moved) if self.proof.unique => match passes(&moved) {
-                true => Belief::Specimen(Some(moved)),
-                false => Belief::NotThere(moved),
-            },
+            Proved::Moved(moved) if self.proof.unique => {
+                let pose = sight.pose(&moved, task);
+                let passes = pose.is_some_and(|pose| test.passes(&pose.error, &moved));
+                Belief::Of(Box::new(sight.relocated(*moved, task)), passes)
+            }
             Proved::Bent => Belief::LookAgain,
             Proved::Moved(_) | Proved::Nothing => Belief::Unknown,
         }
@@ -192,20 +158,22 @@ impl Servo {
         scope: &Instrument,
         sink: &mut dyn Sink,
         sight: &Sight<'_>,
-        last: ServoResult,
     ) -> Result<Progress<ServoEnd>, ServoError> {
+        self.convergence.iteration += 1;
+        let last = self
+            .convergence
+            .result(sight.measured(&sight.located, task));
         if !self.proof.spend_step_aside() {
             return Ok(Progress::Done(ServoEnd::Unproven(last)));
         }
-        self.passed.clear();
-        self.resting = None;
-        let objective = &task.view_calibration.objective;
+        self.convergence.confirm_anew();
+        let objective = task.objective();
         let aside = step_aside(
             scope,
             sink,
             (objective, task.view_calibration.um_per_px()),
             task.vision,
-            (sight.image, sight.seen),
+            (&sight.view.image, &sight.view.all),
             &sight.station.pose,
         )?;
         match aside {
@@ -215,31 +183,15 @@ impl Servo {
             }
             Aside::Seen(seen) => {
                 // The error begins anew from here; and what was believed so far may have been believed of the dust.
-                self.first = None;
+                self.convergence.begin_anew();
                 if !seen.fixed.is_empty() {
-                    self.last_angle_rad = None;
+                    self.expected.forget_angle();
                     self.proof.begin_anew();
                 }
                 self.proof.fixed.add(seen.fixed);
                 Ok(Progress::Continue)
             }
         }
-    }
-
-    /// How fast the view drifts, when it does for sure: it changed since the last frame, and nothing moved.
-    pub(crate) fn drifts(&mut self, task: &ServoTask<'_>, now: Passed) -> Option<f64> {
-        if !task.is_arrival() {
-            return None;
-        }
-        let before = self.resting.replace(now)?;
-        let way_um = [0, 1].map(|k| now.error.t_um()[k] - before.error.t_um()[k]);
-        let tolerance_um = task.options.position_px * task.view_calibration.um_per_px();
-        self.drift.take(
-            way_um,
-            now.time_s - before.time_s,
-            f64::hypot(now.sigma_um, before.sigma_um),
-            tolerance_um,
-        )
     }
 }
 
@@ -282,7 +234,7 @@ impl Servo {
             return Ok(false);
         }
         let pose = PlanarPose::from(&scope.move_to(&on)?);
-        let objective = &task.view_calibration.objective;
+        let objective = task.objective();
         let image = gray(scope, &*grab(scope, sink, FrameRole::Aside, objective)?)?;
         let features = features(&image, &task.vision.view)?;
         let (first, second) = ((&seen.image, &seen.features), (&image, &features));

@@ -1,7 +1,7 @@
 //! A step aside: the stage moves the view a little, and what does not move along is fixed to the camera.
 
+use super::fixed::{FixedPlaces, Parallax};
 use crate::event::tell;
-use crate::fixed::{FixedPlaces, Parallax};
 use crate::identify::{directions, place};
 use crate::vision::{features, grab, gray};
 use crate::{Event, FrameRole, PlanarPose, ServoError, Sink, VisionOptions};

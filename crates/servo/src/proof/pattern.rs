@@ -4,7 +4,7 @@
 //! the empty field there, times what lies on the camera. A smooth illumination divided out, shadows of dust are left. Where the specimen
 //! is dense no pixel was ever empty; then nothing is claimed.
 
-use crate::aside::{Seen, is_free, look};
+use super::aside::{Seen, is_free, look};
 use crate::event::tell;
 use crate::identify::{directions, place};
 use crate::vision::{features, grab, gray};

@@ -1,0 +1,380 @@
+//! The convergence test: when a loop has arrived, and when it gives up.
+
+use crate::proof::Drift;
+use crate::{PoseError, ServoEnd, ServoError, ServoOptions, ServoResult};
+use scopeservo_registration::{Estimate, NotFound};
+use scopeservo_scope::Instrument;
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// Interval of looking for a stop while waiting.
+const POLL: Duration = Duration::from_millis(20);
+
+/// What the test goes by.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Criteria<'a> {
+    pub(crate) options: &'a ServoOptions,
+    /// Whether passing means arrival: the target's own objective is active.
+    pub(crate) is_arrival: bool,
+    /// Whether the stage can turn.
+    pub(crate) turns: bool,
+    pub(crate) view_um_per_px: f64,
+    pub(crate) target_um_per_px: f64,
+}
+
+impl Criteria<'_> {
+    /// Within `position_px` pixels of the present view and, where the stage can turn, within `angle_deg` times the ratio of view pixel
+    /// to target pixel. With the target's own objective, where passing means arrival, the error must be inside by `sure_sigmas`
+    /// standard deviations.
+    pub(crate) fn passes(&self, error: &PoseError, estimate: &Estimate) -> bool {
+        let sigmas = if self.is_arrival {
+            self.options.sure_sigmas
+        } else {
+            0.0
+        };
+        let unsure_um = sigmas * estimate.sigma_px * self.target_um_per_px;
+        let unsure_deg = sigmas * estimate.sigma_angle_rad.to_degrees();
+        let coarseness = (self.view_um_per_px / self.target_um_per_px).max(1.0);
+        let angle_deg = error.angle_deg().abs();
+        error.distance_um() + unsure_um <= self.options.position_px * self.view_um_per_px
+            && (!self.turns || angle_deg + unsure_deg <= self.options.angle_deg * coarseness)
+    }
+
+    fn diverged(&self, error: &PoseError, first: &PoseError) -> bool {
+        let grown = |now: f64, first: f64, least: f64| {
+            now.abs() > least && now.abs() > self.options.divergence_factor * first.abs()
+        };
+        let far = 10.0 * self.view_um_per_px * 1e-6;
+        let distance_m = |e: &PoseError| e.distance_um() * 1e-6;
+        grown(distance_m(error), distance_m(first), far)
+            || self.turns && grown(error.angle_deg(), first.angle_deg(), 0.5)
+    }
+}
+
+/// The error in one frame, how well it is known, and when.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Measured {
+    pub(crate) error: PoseError,
+    /// Standard deviation of its distance by the registration, um.
+    pub(crate) sigma_um: f64,
+    /// Standard deviation of its angle, degrees.
+    pub(crate) sigma_deg: f64,
+    pub(crate) inliers: usize,
+    /// When the frame was exposed, on the instrument's clock.
+    pub(crate) time_s: f64,
+}
+
+/// What the test says of a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Standing {
+    /// Not there: the stage moves.
+    Outside,
+    /// Inside, to be confirmed by the next frame from the same place.
+    Inside,
+    /// The loop is over.
+    Ended(ServoEnd),
+}
+
+/// What the frames of a loop have shown so far.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Convergence {
+    pub(crate) iteration: usize,
+    /// The error from which divergence counts.
+    first: Option<PoseError>,
+    /// Frames in a row that passed.
+    passed: Vec<Measured>,
+    drift: Drift,
+    /// The last frame, while nothing moved since.
+    resting: Option<Measured>,
+}
+
+impl Convergence {
+    /// Whether the target was seen at all.
+    pub(crate) fn seen(&self) -> bool {
+        self.first.is_some()
+    }
+
+    /// Waits until the next frame may confirm the last one: what drifts is seen to.
+    pub(crate) fn rest(
+        &mut self,
+        criteria: &Criteria<'_>,
+        scope: &Instrument,
+    ) -> Result<(), ServoError> {
+        let Some(before) = self.resting.filter(|_| criteria.is_arrival) else {
+            return Ok(());
+        };
+        let until = before.time_s + criteria.options.confirmation_s;
+        loop {
+            let left = until - scope.clock().now().seconds();
+            // A clock that was started anew after a kill knows nothing of the frame before.
+            if left > criteria.options.confirmation_s {
+                self.passed.clear();
+                (self.resting, self.drift) = (None, Drift::default());
+                return Ok(());
+            }
+            // What is left of rounding is no time: a clock may not even move by it.
+            if left < 1e-6 {
+                return Ok(());
+            }
+            scope.clock().sleep(POLL.min(Duration::from_secs_f64(left)));
+            scope.check_cancel()?;
+        }
+    }
+
+    /// Takes a frame that passes, or does not.
+    pub(crate) fn take(
+        &mut self,
+        criteria: &Criteria<'_>,
+        now: Measured,
+        passes: bool,
+    ) -> Standing {
+        if let Some(um_per_s) = self.drifts(criteria, now) {
+            let last = self.result(now);
+            return Standing::Ended(ServoEnd::Drifting { um_per_s, last });
+        }
+        let first = *self.first.get_or_insert(now.error);
+        // What was suspected to drift is confirmed anew.
+        if !passes || self.drift.suspected() {
+            self.passed.clear();
+        }
+        if passes {
+            self.passed.push(now);
+        }
+        if self.passed.len() >= criteria.options.confirmations.max(1) {
+            let error = mean(&self.passed);
+            Standing::Ended(ServoEnd::Converged(self.result(Measured { error, ..now })))
+        } else if criteria.diverged(&now.error, &first) {
+            Standing::Ended(ServoEnd::Diverged(self.result(now)))
+        } else if self.iteration + 1 >= criteria.options.max_iterations {
+            Standing::Ended(ServoEnd::IterationLimit(self.result(now)))
+        } else if passes {
+            Standing::Inside
+        } else {
+            Standing::Outside
+        }
+    }
+
+    /// How fast the view drifts, when it does for sure: it changed since the last frame, and nothing moved.
+    fn drifts(&mut self, criteria: &Criteria<'_>, now: Measured) -> Option<f64> {
+        if !criteria.is_arrival {
+            return None;
+        }
+        let before = self.resting.replace(now)?;
+        let way_um = [0, 1].map(|k| now.error.t_um()[k] - before.error.t_um()[k]);
+        let tolerance_um = criteria.options.position_px * criteria.view_um_per_px;
+        self.drift.take(
+            way_um,
+            now.time_s - before.time_s,
+            f64::hypot(now.sigma_um, before.sigma_um),
+            tolerance_um,
+        )
+    }
+
+    /// Takes a lost frame, the `lost`-th in a row.
+    pub(crate) fn lose(
+        &mut self,
+        options: &ServoOptions,
+        lost: usize,
+        reason: &NotFound,
+    ) -> Option<ServoEnd> {
+        self.confirm_anew();
+        self.iteration += 1;
+        let over = lost >= options.max_lost.max(1) || self.iteration >= options.max_iterations;
+        over.then(|| ServoEnd::Lost(reason.clone()))
+    }
+
+    /// Takes a frame that will not be believed, and is looked at again; tells when no iteration is left.
+    pub(crate) fn disbelieve(&mut self, options: &ServoOptions, now: Measured) -> Option<ServoEnd> {
+        self.passed.clear();
+        self.iteration += 1;
+        let over = self.iteration >= options.max_iterations;
+        over.then(|| ServoEnd::Unproven(self.result(now)))
+    }
+
+    /// The stage moves: the next frame confirms nothing.
+    pub(crate) fn moving(&mut self) {
+        self.resting = None;
+    }
+
+    /// No frame so far confirms the next one.
+    pub(crate) fn confirm_anew(&mut self) {
+        self.passed.clear();
+        self.resting = None;
+    }
+
+    /// Divergence counts from the next frame on.
+    pub(crate) fn begin_anew(&mut self) {
+        self.first = None;
+    }
+
+    /// What is known with the frame `now`.
+    pub(crate) fn result(&self, now: Measured) -> ServoResult {
+        ServoResult {
+            iterations: self.iteration + 1,
+            inliers: now.inliers,
+            error: now.error,
+            sigma_um: f64::hypot(now.sigma_um, scatter_um(&self.passed)),
+            sigma_deg: now.sigma_deg,
+        }
+    }
+}
+
+fn mean(frames: &[Measured]) -> PoseError {
+    let n = frames.len() as f64;
+    let sum = |f: &dyn Fn(&PoseError) -> f64| frames.iter().map(|m| f(&m.error)).sum::<f64>() / n;
+    PoseError {
+        t_m: [sum(&|e| e.t_m[0]), sum(&|e| e.t_m[1])],
+        theta_rad: sum(&|e| e.theta_rad),
+    }
+}
+
+/// Root mean square distance of the errors from their mean, um; zero for fewer than two.
+fn scatter_um(frames: &[Measured]) -> f64 {
+    if frames.len() < 2 {
+        return 0.0;
+    }
+    let middle = mean(frames);
+    let off_sq = |m: &Measured| {
+        (m.error.t_m[0] - middle.t_m[0]).powi(2) + (m.error.t_m[1] - middle.t_m[1]).powi(2)
+    };
+    let sum_sq: f64 = frames.iter().map(off_sq).sum();
+    (sum_sq / (frames.len() - 1) as f64).sqrt() * 1e6
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x_um: f64, y_um: f64, angle_deg: f64, time_s: f64) -> Measured {
+        Measured {
+            error: PoseError {
+                t_m: [x_um * 1e-6, y_um * 1e-6],
+                theta_rad: angle_deg.to_radians(),
+            },
+            sigma_um: 0.01,
+            sigma_deg: 0.001,
+            inliers: 50,
+            time_s,
+        }
+    }
+
+    fn criteria(options: &ServoOptions) -> Criteria<'_> {
+        Criteria {
+            options,
+            is_arrival: true,
+            turns: true,
+            view_um_per_px: 0.5,
+            target_um_per_px: 0.5,
+        }
+    }
+
+    #[test]
+    fn scatter_is_the_spread_of_confirming_frames() {
+        assert_eq!(scatter_um(&[at(3.0, 4.0, 0.0, 0.0)]), 0.0);
+        let two = scatter_um(&[at(0.3, 0.4, 0.0, 0.0), at(0.0, 0.0, 0.0, 0.0)]);
+        assert!((two - 0.5 / 2f64.sqrt()).abs() < 1e-12, "{two}");
+    }
+
+    #[test]
+    fn passing_needs_both_limits_and_two_sigmas_where_it_means_arrival() {
+        let options = ServoOptions::default();
+        let mut test = criteria(&options);
+        let estimate = |sigma_px| Estimate {
+            sigma_px,
+            ..Estimate::at_rest()
+        };
+        let inside = at(0.39, 0.0, 0.009, 0.0).error;
+        assert!(test.passes(&inside, &estimate(0.0)));
+        assert!(!test.passes(&inside, &estimate(0.02)), "not for sure");
+        let turned = at(0.1, 0.0, 0.011, 0.0).error;
+        assert!(!test.passes(&turned, &estimate(0.0)));
+        test.turns = false;
+        assert!(test.passes(&turned, &estimate(0.0)));
+        test.is_arrival = false;
+        assert!(test.passes(&inside, &estimate(0.02)), "on the way");
+    }
+
+    #[test]
+    fn two_frames_in_a_row_that_pass_converge_on_their_mean() {
+        let options = ServoOptions::default();
+        let (test, mut state) = (criteria(&options), Convergence::default());
+        assert_eq!(
+            state.take(&test, at(30.0, 0.0, 0.1, 0.0), false),
+            Standing::Outside
+        );
+        state.moving();
+        assert_eq!(
+            state.take(&test, at(0.2, 0.0, 0.0, 1.0), true),
+            Standing::Inside
+        );
+        assert_eq!(
+            state.take(&test, at(0.5, 0.0, 0.0, 1.5), false),
+            Standing::Outside
+        );
+        state.moving();
+        assert_eq!(
+            state.take(&test, at(0.2, 0.0, 0.0, 2.0), true),
+            Standing::Inside
+        );
+        let Standing::Ended(ServoEnd::Converged(result)) =
+            state.take(&test, at(0.22, 0.0, 0.0, 2.5), true)
+        else {
+            panic!("not converged")
+        };
+        assert!((result.error.distance_um() - 0.21).abs() < 1e-9);
+    }
+
+    #[test]
+    fn growth_the_iteration_limit_and_a_drift_end_a_loop() {
+        let options = ServoOptions {
+            max_iterations: 2,
+            ..ServoOptions::default()
+        };
+        let test = criteria(&options);
+        let begun = || {
+            let mut state = Convergence::default();
+            state.take(&test, at(10.0, 0.0, 0.1, 0.0), false);
+            state.moving();
+            state
+        };
+        let ended = |mut state: Convergence, now| state.take(&test, now, false);
+        for far in [at(31.0, 0.0, 0.1, 1.0), at(1.0, 0.0, 0.6, 1.0)] {
+            let end = ended(begun(), far);
+            assert!(
+                matches!(end, Standing::Ended(ServoEnd::Diverged(_))),
+                "{end:?}"
+            );
+        }
+        let mut late = begun();
+        late.iteration = 1;
+        let end = ended(late, at(9.0, 0.0, 0.1, 1.0));
+        assert!(
+            matches!(end, Standing::Ended(ServoEnd::IterationLimit(_))),
+            "{end:?}"
+        );
+        let looks = |um_per_look: f64| {
+            let mut drifting = Convergence::default();
+            drifting.take(&test, at(0.0, 0.0, 0.0, 0.0), false);
+            drifting.take(&test, at(um_per_look, 0.0, 0.0, 0.5), false);
+            drifting.take(&test, at(2.0 * um_per_look, 0.0, 0.0, 1.0), false)
+        };
+        // Half the tolerance in a second is no drift.
+        assert_eq!(looks(0.09), Standing::Outside);
+        let end = looks(0.3);
+        assert!(
+            matches!(end, Standing::Ended(ServoEnd::Drifting { .. })),
+            "{end:?}"
+        );
+    }
+
+    #[test]
+    fn frames_in_a_row_that_are_lost_end_a_loop() {
+        let options = ServoOptions::default();
+        let reason = NotFound::NoAgreement { matches: 7 };
+        let mut state = Convergence::default();
+        assert_eq!(state.lose(&options, 2, &reason), None);
+        assert!(state.lose(&options, 3, &reason).is_some());
+        state.iteration = 63;
+        assert!(state.lose(&options, 1, &reason).is_some());
+    }
+}

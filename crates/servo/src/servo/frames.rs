@@ -1,0 +1,61 @@
+//! What the loop's state takes from a frame: found and moved away from, lost, or to be looked at again.
+
+use super::Servo;
+use super::sight::{Located, Sight};
+use crate::event::tell;
+use crate::{Event, Progress, ServoEnd, ServoTask, Sink, Velocity};
+use scopeservo_registration::NotFound;
+use scopeservo_scope::Instrument;
+
+impl Servo {
+    /// Whether the target was seen at all.
+    pub fn seen(&self) -> bool {
+        self.convergence.seen()
+    }
+
+    pub(crate) fn found<'a>(&mut self, sight: Sight<'a>) -> Sight<'a> {
+        let transform = &sight.located.estimate.target_from_view;
+        self.expected.found(transform.linear.rotation_angle());
+        sight
+    }
+
+    /// The stage is about to move.
+    pub(crate) fn moving(&mut self, located: &Located, velocity: &Velocity) {
+        let error_um = located.pose.error.t_um();
+        self.proof.moving(error_um, velocity.distance_um());
+        self.convergence.moving();
+    }
+
+    pub(crate) fn lost(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        sequence: u64,
+        reason: &NotFound,
+    ) -> Progress<ServoEnd> {
+        let event = Event::Lost {
+            objective: task.objective().clone(),
+            iteration: self.convergence.iteration,
+            sequence,
+            reason: reason.clone(),
+        };
+        tell(scope, sink, event);
+        let lost = self.expected.lost();
+        self.convergence
+            .lose(task.options, lost, reason)
+            .map_or(Progress::Continue, Progress::Done)
+    }
+
+    /// Some places that agree are fixed to the camera: the next frame is seen without them.
+    pub(crate) fn look_again(
+        &mut self,
+        task: &ServoTask<'_>,
+        sight: &Sight<'_>,
+    ) -> Progress<ServoEnd> {
+        let now = sight.measured(&sight.located, task);
+        self.convergence
+            .disbelieve(task.options, now)
+            .map_or(Progress::Continue, Progress::Done)
+    }
+}

@@ -1,0 +1,80 @@
+//! The servo loop at one magnification. The page to read first.
+//!
+//! It ends when the error passes the convergence test (`convergence.rs`) in several frames in a row without a move in between: arrival is
+//! claimed by the image, on places that were seen to move with the specimen (`belief.rs`), and by frames far enough apart to see it drift.
+
+mod belief;
+mod convergence;
+pub(crate) mod end;
+mod expected;
+mod frames;
+pub(crate) mod options;
+mod sight;
+pub(crate) mod task;
+
+use crate::{FrameRole, Progress, ServoEnd, ServoError, ServoTask, Sink, event::tell};
+use crate::{proof::Proof, vision::grab};
+use belief::Belief;
+use convergence::{Convergence, Standing};
+use scopeservo_scope::Instrument;
+use serde::{Deserialize, Serialize};
+use sight::{Sight, View};
+
+/// The loop's state.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Servo {
+    convergence: Convergence,
+    expected: expected::Expected,
+    proof: Proof,
+}
+
+impl Servo {
+    /// One iteration.
+    ///
+    /// # Errors
+    /// Faults, refused moves and interruptions of the instrument.
+    pub fn step(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<ServoEnd>, ServoError> {
+        let test = task.criteria(scope);
+        self.convergence.rest(&test, scope)?;
+        let present = scope.gate().position()?;
+        // Camera, features.
+        let frame = grab(scope, sink, FrameRole::Servo, task.objective())?;
+        let view = View::of(&frame, scope, task, &self.proof.fixed)?;
+        // Match and fit, homography, pose error and its covariance: Eqs. (7), (19), (20).
+        let prior = self.expected.prior(task);
+        let sight = match Sight::of(&view, task, scope, prior, present, &self.proof.fixed) {
+            Ok(sight) => self.found(sight),
+            Err(reason) => return Ok(self.lost(task, scope, sink, view.sequence, &reason)),
+        };
+        // Control: Eq. (22).
+        let passes = test.passes(&sight.located.pose.error, &sight.located.estimate);
+        let velocity = task.velocity(&sight.located.pose, test.turns);
+        let event = sight.event(task, self.convergence.iteration, velocity, passes);
+        tell(scope, sink, event);
+        // Is it the specimen, and the only place that looks like this?
+        let (located, passes) = match self.believe(task, &test, &sight, passes) {
+            Belief::Of(located, passes) => (located, passes),
+            Belief::Ended(end) => return Ok(Progress::Done(end)),
+            Belief::LookAgain => return Ok(self.look_again(task, &sight)),
+            Belief::Unknown => return self.step_aside(task, scope, sink, &sight),
+        };
+        // Stage: Eq. (5). A frame that passes is confirmed by the next one from the same place.
+        let measured = sight.measured(&located, task);
+        match self.convergence.take(&test, measured, passes) {
+            Standing::Ended(end) => return Ok(Progress::Done(end)),
+            Standing::Inside => {}
+            Standing::Outside => {
+                let velocity = task.velocity(&located.pose, test.turns);
+                self.moving(&located, &velocity);
+                scope.move_to(&sight.goal(&velocity))?;
+            }
+        }
+        self.convergence.iteration += 1;
+        Ok(Progress::Continue)
+    }
+}

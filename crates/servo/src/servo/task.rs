@@ -1,0 +1,89 @@
+//! What a servo loop needs to know.
+
+use super::convergence::Criteria;
+use crate::procedure::{Procedure, Progress};
+use crate::{
+    Calibration, ControlLaw, PoseEstimate, Servo, ServoEnd, ServoError, ServoOptions, Sink, Target,
+    Velocity, VisionOptions,
+};
+use scopeservo_scope::{Axis, Instrument, ObjectiveId};
+
+/// What a servo loop needs to know; none of it changes while it runs.
+#[derive(Clone, Copy)]
+pub struct ServoTask<'a> {
+    /// The view to come back to.
+    pub target: &'a Target,
+    /// Calibration of the active objective.
+    pub view_calibration: &'a Calibration,
+    /// Calibration of the target's objective (K_t).
+    pub target_calibration: &'a Calibration,
+    /// How to look.
+    pub vision: &'a VisionOptions,
+    /// How to move.
+    pub options: &'a ServoOptions,
+    /// The control law; `None` for the one that the options name.
+    pub law: Option<&'a dyn ControlLaw>,
+}
+
+impl ServoTask<'_> {
+    /// Whether this is the target's own objective, where passing the test means arrival.
+    pub(crate) fn is_arrival(&self) -> bool {
+        self.view_calibration.objective == self.target_calibration.objective
+    }
+
+    /// The active objective.
+    pub(crate) fn objective(&self) -> &ObjectiveId {
+        &self.view_calibration.objective
+    }
+
+    /// The convergence test on this instrument.
+    pub(crate) fn criteria(&self, scope: &Instrument) -> Criteria<'_> {
+        Criteria {
+            options: self.options,
+            is_arrival: self.is_arrival(),
+            turns: scope.gate().info().axis(Axis::Rz).is_some(),
+            view_um_per_px: self.view_calibration.um_per_px(),
+            target_um_per_px: self.target_calibration.um_per_px(),
+        }
+    }
+
+    /// The velocity for an error; without a rotation where the stage cannot turn.
+    pub(crate) fn velocity(&self, error: &PoseEstimate, turns: bool) -> Velocity {
+        let velocity = match self.law {
+            Some(law) => law.velocity(error),
+            None => self.options.control_law().velocity(error),
+        };
+        Velocity {
+            theta_rad: if turns { velocity.theta_rad } else { 0.0 },
+            ..velocity
+        }
+    }
+}
+
+/// A loop together with its task, as a procedure: the loop's state is stored, its task is borrowed.
+pub struct ServoRun<'a> {
+    servo: &'a mut Servo,
+    task: ServoTask<'a>,
+}
+
+impl Servo {
+    /// This loop as a [`Procedure`].
+    pub fn on<'a>(&'a mut self, task: &ServoTask<'a>) -> ServoRun<'a> {
+        ServoRun {
+            servo: self,
+            task: *task,
+        }
+    }
+}
+
+impl Procedure for ServoRun<'_> {
+    type Output = ServoEnd;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<ServoEnd>, ServoError> {
+        self.servo.step(&self.task, scope, sink)
+    }
+}
