@@ -4,8 +4,9 @@ use crate::ServoTask;
 use scopeservo_registration::{Prior, RotationPrior, ScalePrior};
 use serde::{Deserialize, Serialize};
 
-/// How far the view may have turned since the last frame that was understood, radians.
-const TURNED_RAD: f64 = 0.1;
+/// How far the view may have turned since the last frame that was understood, radians: by lost frames in a row since. After more, any
+/// angle is expected.
+const TURNED_RAD: [f64; 2] = [0.1, 0.4];
 
 /// The angle of the last frame, and how many were lost since.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -30,13 +31,17 @@ impl Expected {
     fn rotation(&self) -> Option<RotationPrior> {
         Some(RotationPrior {
             angle_rad: self.angle_rad?,
-            tolerance_rad: TURNED_RAD,
+            tolerance_rad: *TURNED_RAD.get(self.lost_in_a_row)?,
         })
     }
 
-    /// Takes the angle of a frame.
-    pub(crate) fn found(&mut self, angle_rad: Option<f64>) {
+    /// Takes the angle of a frame; tells whether it was found only because lost frames had widened what was expected.
+    pub(crate) fn found(&mut self, angle_rad: Option<f64>) -> bool {
+        let turn = |(was, is): (f64, f64)| (is - was).sin().atan2((is - was).cos()).abs();
+        let turned = self.lost_in_a_row > 0
+            && (self.angle_rad.zip(angle_rad)).is_some_and(|both| turn(both) > TURNED_RAD[0]);
         (self.angle_rad, self.lost_in_a_row) = (angle_rad, 0);
+        turned
     }
 
     /// Takes a lost frame; tells how many there were in a row.
@@ -48,5 +53,26 @@ impl Expected {
     /// Any angle is expected again.
     pub(crate) fn forget_angle(&mut self) {
         self.angle_rad = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lost_frames_in_a_row_widen_the_angle_that_is_expected() {
+        let mut expected = Expected::default();
+        let tolerance = |e: &Expected| e.rotation().map(|r| r.tolerance_rad);
+        assert_eq!(tolerance(&expected), None);
+        assert!(!expected.found(Some(3.1)));
+        assert_eq!(tolerance(&expected), Some(0.1));
+        assert_eq!((expected.lost(), tolerance(&expected)), (1, Some(0.4)));
+        assert_eq!((expected.lost(), tolerance(&expected)), (2, None));
+        // The angle wraps: 3.1 and -3.1 are near each other.
+        assert!(!expected.found(Some(-3.1)));
+        assert_eq!(tolerance(&expected), Some(0.1));
+        expected.lost();
+        assert!(expected.found(Some(-2.8)));
     }
 }

@@ -15,7 +15,10 @@ impl Servo {
 
     pub(crate) fn found<'a>(&mut self, sight: Sight<'a>) -> Sight<'a> {
         let transform = &sight.located.estimate.target_from_view;
-        self.expected.found(transform.linear.rotation_angle());
+        if self.expected.found(transform.linear.rotation_angle()) {
+            // The specimen turned meanwhile: that is no divergence.
+            self.convergence.begin_anew();
+        }
         sight
     }
 
