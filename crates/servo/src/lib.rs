@@ -6,6 +6,7 @@
 //!
 //! Data flow one way: camera -> features -> match and fit -> homography -> pose error -> control -> stage.
 
+#![warn(clippy::too_many_lines)]
 // One macro is in use: each thread keeps an engine (vision.rs).
 #![cfg_attr(not(test), warn(clippy::disallowed_methods, clippy::disallowed_types))]
 
@@ -45,7 +46,8 @@ pub use pose::{PoseError, PoseEstimate, pose_error, pose_estimate};
 pub use procedure::{Procedure, Progress, run};
 pub use proof::FixedPlaces;
 pub use reposition::{
-    MagnificationResult, Outcome, Reason, Reposition, RepositionOptions, Verdict,
+    Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Reposition, RepositionOptions,
+    SoFar, Verdict,
 };
 pub use servo::Servo;
 pub use servo::end::{ServoEnd, ServoResult};

@@ -6,8 +6,8 @@ use common::{Listener, PLACE_UM, bench, bench_over, one_objective, options};
 use scopeservo_geometry::Mat2;
 use scopeservo_scope::{Axis, Motion, ScopeError};
 use scopeservo_servo::{
-    Calibrate, CalibrateOptions, Event, Focus, FocusOptions, NoSink, Progress, Reposition, Servo,
-    ServoEnd, ServoError, ServoOptions, ServoTask, Target, VisionOptions, run,
+    Calibrate, CalibrateOptions, Event, Focus, FocusOptions, NoSink, Procedure, Progress,
+    Reposition, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Target, VisionOptions, run,
 };
 use scopeservo_twin::specimen::Blank;
 use scopeservo_twin::{Config, StageFault};
@@ -130,9 +130,12 @@ fn a_blank_target_is_refused_before_anything_moves() {
     config.optics = config.optics.split_off(2);
     let bench = bench_over(config, Arc::new(Blank), Vec::new());
     let target = Target::save(&bench.scope, &VisionOptions::default(), &mut NoSink).unwrap();
-    let outcome = bench.reposition(target).unwrap();
+    let mut machine = Reposition::new(target, options());
+    let outcome = run(&mut machine, &bench.scope, &mut NoSink).unwrap();
     assert_eq!(outcome.reason, scopeservo_servo::Reason::BlankTarget);
     assert_eq!(bench.scope.counters().moves, 0);
+    let again = machine.step(&bench.scope, &mut NoSink).unwrap_err();
+    assert!(again.to_string().contains("ended already"), "{again}");
 }
 
 #[test]

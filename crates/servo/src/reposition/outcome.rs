@@ -1,0 +1,114 @@
+//! The answer of a run.
+
+use crate::{Calibration, ServoEnd, ServoError};
+use scopeservo_scope::{ObjectiveId, ScopeError};
+use serde::{Deserialize, Serialize};
+
+/// The answers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The saved view is back, checked on its own frames.
+    Arrived,
+    /// The saved view was not seen.
+    NotFound,
+    /// Something needed could not be done; nothing is claimed.
+    Refused,
+    /// The saved view was seen, and so was another place that looks like it; nothing is claimed.
+    Ambiguous,
+}
+
+/// Why a run ended, for programs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// The view is back.
+    Converged,
+    /// The target has too little texture to come back to.
+    BlankTarget,
+    /// No focus: nothing to see at the start.
+    NoFocus,
+    /// Another objective is in the beam than the one that was asked for, or it could not be seen which.
+    WrongObjective,
+    /// Calibration had too little to see or was implausible.
+    CalibrationFailed,
+    /// The target is not in the view.
+    TargetNotInView,
+    /// The iterations ran out.
+    IterationLimit,
+    /// The error grew.
+    Diverged,
+    /// The way leads outside the limits, or past another rule of the motion gate.
+    OutsideLimits,
+    /// The place is back, but the stage has no axis for the angle that is left.
+    CannotTurn,
+    /// Another place looks the same.
+    Ambiguous,
+    /// The stage moved, and nothing in the picture did: stuck, or all of it is on the camera.
+    NothingMoves,
+    /// What agrees with the target was not seen to move with the specimen.
+    Unproven,
+    /// The view does not rest.
+    Drifting,
+}
+
+/// What happened at one magnification.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MagnificationResult {
+    /// The objective.
+    pub objective: ObjectiveId,
+    /// Its magnification.
+    pub magnification: f64,
+    /// How the loop ended there.
+    pub end: ServoEnd,
+    /// The calibration used.
+    pub calibration: Calibration,
+}
+
+/// The answer of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Outcome {
+    /// The answer.
+    pub verdict: Verdict,
+    /// Why, for programs.
+    pub reason: Reason,
+    /// Why, for people.
+    pub message: String,
+    /// Last measured distance with its uncertainty added in quadrature, um.
+    pub estimated_error_um: Option<f64>,
+    /// Last measured angle, degrees.
+    pub estimated_error_deg: Option<f64>,
+    /// Width and height of the widest view, um on the specimen: what looks the same farther away could not be seen.
+    #[serde(default)]
+    pub unique_within_um: Option<[f64; 2]>,
+    /// Every magnification that was servoed, in order.
+    pub magnifications: Vec<MagnificationResult>,
+}
+
+impl Reason {
+    /// The reason why a run that ends with this error is refused; `None` for a fault or an interruption.
+    pub fn of(error: &ServoError) -> Option<Self> {
+        Some(match error {
+            ServoError::NoFocus { .. } => Reason::NoFocus,
+            ServoError::PoorTarget { .. } => Reason::BlankTarget,
+            ServoError::NothingMoves { .. } => Reason::NothingMoves,
+            ServoError::Repeats { .. } => Reason::Ambiguous,
+            ServoError::WrongObjective { .. }
+            | ServoError::ObjectiveUnclear { .. }
+            | ServoError::PictureStays { .. }
+            | ServoError::StageTooCoarse { .. } => Reason::WrongObjective,
+            ServoError::CalibrationViews { .. }
+            | ServoError::CalibrationImplausible { .. }
+            | ServoError::CalibrationInconsistent { .. } => Reason::CalibrationFailed,
+            ServoError::Scope(
+                ScopeError::OutsideLimits { .. }
+                | ScopeError::StandsOutside { .. }
+                | ScopeError::OutsideWorkspace { .. }
+                | ScopeError::TooClose { .. }
+                | ScopeError::StepTooLarge { .. }
+                | ScopeError::NotRetracted { .. },
+            ) => Reason::OutsideLimits,
+            _ => return None,
+        })
+    }
+}

@@ -1,0 +1,372 @@
+//! The run as a step machine.
+
+use super::words;
+use super::{Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, SoFar, Verdict};
+use crate::event::tell;
+use crate::procedure::{Procedure, Progress};
+use crate::target::MIN_TARGET_FEATURES;
+use crate::{
+    Bring, Calibrate, CalibrateOptions, Calibration, Engine, Event, FocusOptions, Phase, Servo,
+    ServoEnd, ServoError, ServoOptions, ServoTask, Sink, Target, VisionOptions,
+};
+use scopeservo_scope::{Instrument, ObjectiveId};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// Settings of a run.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RepositionOptions {
+    /// How to look.
+    pub vision: VisionOptions,
+    /// How to focus.
+    pub focus: FocusOptions,
+    /// How to calibrate.
+    pub calibrate: CalibrateOptions,
+    /// How to servo.
+    pub servo: ServoOptions,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum State {
+    Begin,
+    Under { leg: Leg, work: Work },
+    Ended,
+}
+
+/// What is under way in a leg.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Work {
+    Bring(Box<Bring>),
+    Calibrate(Box<Calibrate>),
+    Servo(Box<Servo>),
+}
+
+/// Algorithm 1 as a step machine. Serialise it between two steps to continue after a kill.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Reposition {
+    options: RepositionOptions,
+    /// Kept apart from the state, which is small and written often; [`Reposition::with_target`] gives it back.
+    #[serde(skip)]
+    target: Option<Arc<Target>>,
+    /// Size of a pixel of a target from another microscope, um.
+    #[serde(default)]
+    foreign_um_per_px: Option<f64>,
+    state: State,
+    calibrations: BTreeMap<ObjectiveId, Calibration>,
+    /// Objectives whose calibration was known before the run.
+    #[serde(default)]
+    known: BTreeSet<ObjectiveId>,
+    done: Vec<MagnificationResult>,
+}
+
+impl Reposition {
+    /// A run that brings `target` back.
+    pub fn new(target: impl Into<Arc<Target>>, options: RepositionOptions) -> Self {
+        Self {
+            options,
+            target: Some(target.into()),
+            foreign_um_per_px: None,
+            state: State::Begin,
+            calibrations: BTreeMap::new(),
+            known: BTreeSet::new(),
+            done: Vec::new(),
+        }
+    }
+
+    /// Gives a stored run its target back.
+    #[must_use]
+    pub fn with_target(mut self, target: impl Into<Arc<Target>>) -> Self {
+        self.target = Some(target.into());
+        self
+    }
+
+    /// The target was taken by another microscope, where a pixel has this size on the specimen.
+    #[must_use]
+    pub fn with_foreign_scale(mut self, um_per_px: f64) -> Self {
+        self.foreign_um_per_px = Some(um_per_px);
+        self
+    }
+
+    fn target(&self) -> Result<Arc<Target>, ServoError> {
+        let lacks = || ServoError::BadOption("a stored run needs its target".into());
+        self.target.clone().ok_or_else(lacks)
+    }
+
+    /// K_t: the newest calibration of the target's objective, with the pixels of the camera that took it.
+    fn target_calibration(&self, target: &Target) -> Option<Calibration> {
+        let here = self.calibrations.get(&target.objective)?.clone();
+        Some(match self.foreign_um_per_px {
+            None => here,
+            Some(um_per_px) => here.with_um_per_px(um_per_px),
+        })
+    }
+
+    /// Takes calibrations that are known already: those objectives are not calibrated on the way.
+    #[must_use]
+    pub fn with_calibrations(
+        mut self,
+        known: impl IntoIterator<Item = (ObjectiveId, Calibration)>,
+    ) -> Self {
+        for (objective, calibration) in known {
+            self.known.insert(objective.clone());
+            self.calibrations.insert(objective, calibration);
+        }
+        self
+    }
+
+    /// The calibrations that were made on the way, the newest of each objective: worth keeping, however the run ends.
+    pub fn calibrations_made(&self) -> impl Iterator<Item = (&ObjectiveId, &Calibration)> {
+        let made = self.calibrations.iter();
+        made.filter(|(objective, _)| !self.known.contains(*objective))
+    }
+
+    /// What the policy goes by.
+    fn so_far<'a>(&'a self, scope: &'a Instrument, target: &'a Target) -> SoFar<'a> {
+        SoFar {
+            objectives: scope.gate().objectives(),
+            target: &target.objective,
+            target_is_calibrated: self.calibrations.contains_key(&target.objective),
+            done: &self.done,
+        }
+    }
+
+    fn enter(&self, scope: &Instrument, sink: &mut dyn Sink, phase: Phase, leg: &Leg) {
+        let objective = leg.objective().clone();
+        tell(scope, sink, Event::PhaseStarted { phase, objective });
+    }
+
+    /// Begins a leg, whatever was under way before.
+    fn bring(&mut self, leg: Leg) {
+        let bring = Bring::new(
+            leg.objective().clone(),
+            Some(self.options.focus.clone()),
+            self.options.vision.clone(),
+        );
+        let work = Work::Bring(Box::new(bring));
+        self.state = State::Under { leg, work };
+    }
+
+    fn begin(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        target: &Target,
+    ) -> Result<Option<Outcome>, ServoError> {
+        scope.objective(&target.objective)?;
+        let so_far = self.so_far(scope, target);
+        let first = Ladder.next(&so_far);
+        let engine = Engine::current();
+        let event = Event::Started {
+            objectives: Ladder.outlook(&so_far),
+            target_objective: target.objective.clone(),
+            engine: engine.name,
+            cpu_level: engine.cpu_level,
+        };
+        tell(scope, sink, event);
+        let features = target.features.len();
+        if features < MIN_TARGET_FEATURES && target.moved.is_none() {
+            let message = words::blank_target(features);
+            return Ok(Some(self.outcome(
+                Verdict::Refused,
+                Reason::BlankTarget,
+                message,
+            )));
+        }
+        if let Some(leg) = first {
+            self.bring(leg);
+        }
+        Ok(None)
+    }
+
+    fn advance(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Option<Outcome>, ServoError> {
+        let target = self.target()?;
+        // After the last leg's calibration K_t is the newer of its two measurements.
+        let target_calibration = self.target_calibration(&target);
+        let (leg, work) = match &mut self.state {
+            State::Begin => return self.begin(scope, sink, &target),
+            State::Under { leg, work } => (leg.clone(), work),
+            State::Ended => {
+                return Err(ServoError::BadOption(
+                    "this run has ended already; start a new one".into(),
+                ));
+            }
+        };
+        // A run that goes on after a kill may find another objective than it left, or one that nobody has looked at.
+        if !matches!(work, Work::Bring(_))
+            && (scope.gate().current_objective()?.as_ref() != Some(leg.objective())
+                || scope.gate().objective_is_reported())
+        {
+            self.bring(leg);
+            return Ok(None);
+        }
+        match work {
+            Work::Bring(bring) => {
+                if let Progress::Done(_) = bring.step(scope, sink)? {
+                    self.brought(scope, sink, leg)?;
+                }
+                Ok(None)
+            }
+            Work::Calibrate(calibrate) => {
+                if let Progress::Done(calibration) = calibrate.step(scope, sink)? {
+                    self.calibrated(scope, sink, (leg, calibration), &target);
+                }
+                Ok(None)
+            }
+            Work::Servo(servo) => {
+                let missing = || {
+                    ServoError::BadOption("a stored run lacks a calibration; start it anew".into())
+                };
+                let here = self.calibrations.get(leg.objective());
+                let task = ServoTask {
+                    target: &target,
+                    view_calibration: here.ok_or_else(missing)?,
+                    target_calibration: target_calibration.as_ref().ok_or_else(missing)?,
+                    vision: &self.options.vision,
+                    options: &self.options.servo,
+                    law: None,
+                };
+                let Progress::Done(end) = servo.step(&task, scope, sink)? else {
+                    return Ok(None);
+                };
+                let seen = servo.seen();
+                self.done.push(MagnificationResult {
+                    magnification: scope.objective(leg.objective())?.magnification,
+                    calibration: task.view_calibration.clone(),
+                    objective: leg.objective().clone(),
+                    end: end.clone(),
+                });
+                Ok(self.servoed(scope, &target, &end, seen))
+            }
+        }
+    }
+
+    /// The objective is active and in focus.
+    fn brought(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        leg: Leg,
+    ) -> Result<(), ServoError> {
+        if matches!(&leg, Leg::Servo(objective) if self.known.contains(objective)) {
+            self.servo(scope, sink, leg);
+            return Ok(());
+        }
+        let calibrate = Calibrate::new(
+            scope.objective(leg.objective())?.clone(),
+            self.options.calibrate.clone(),
+            self.options.vision.clone(),
+        );
+        self.enter(scope, sink, Phase::Calibrate, &leg);
+        let work = Work::Calibrate(Box::new(calibrate));
+        self.state = State::Under { leg, work };
+        Ok(())
+    }
+
+    fn servo(&mut self, scope: &Instrument, sink: &mut dyn Sink, leg: Leg) {
+        self.enter(scope, sink, Phase::Servo, &leg);
+        let work = Work::Servo(Box::default());
+        self.state = State::Under { leg, work };
+    }
+
+    fn calibrated(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        (leg, calibration): (Leg, Calibration),
+        target: &Target,
+    ) {
+        self.calibrations
+            .insert(leg.objective().clone(), calibration);
+        match leg {
+            Leg::Servo(_) => self.servo(scope, sink, leg),
+            Leg::Calibrate(_) => {
+                if let Some(next) = Ladder.next(&self.so_far(scope, target)) {
+                    self.bring(next);
+                }
+            }
+        }
+    }
+
+    /// The answer when a loop's end is the run's end. A target that was seen and lost again may be seen better by the next objective.
+    fn servoed(
+        &mut self,
+        scope: &Instrument,
+        target: &Target,
+        end: &ServoEnd,
+        seen: bool,
+    ) -> Option<Outcome> {
+        let next = Ladder.next(&self.so_far(scope, target));
+        let goes_on = match end {
+            ServoEnd::Converged(_) => true,
+            ServoEnd::Lost(_) => seen,
+            _ => false,
+        };
+        if let Some(next) = next.filter(|_| goes_on) {
+            self.bring(next);
+            return None;
+        }
+        let at = self.done.last().map_or(0.0, |d| d.magnification);
+        let seen_below = self.done.len() > 1;
+        let (verdict, reason, message) =
+            words::answer_of(end, at, seen_below, self.options.servo.angle_deg);
+        Some(self.outcome(verdict, reason, message))
+    }
+
+    fn outcome(&self, verdict: Verdict, reason: Reason, message: String) -> Outcome {
+        let last = self.done.last().and_then(|d| d.end.result());
+        Outcome {
+            verdict,
+            reason,
+            message,
+            estimated_error_um: last.map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
+            estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
+            unique_within_um: self.done.first().map(|widest| {
+                let size = widest.calibration.image_size_px;
+                size.map(|px| px as f64 * widest.calibration.um_per_px())
+            }),
+            magnifications: self.done.clone(),
+        }
+    }
+
+    /// Turns what the method or the limits refuse into an answer; faults and interruptions stay errors.
+    fn answer(&self, error: ServoError) -> Result<Outcome, ServoError> {
+        match Reason::of(&error) {
+            Some(reason) => Ok(self.outcome(Verdict::Refused, reason, error.to_string())),
+            None => Err(error),
+        }
+    }
+}
+
+impl Procedure for Reposition {
+    type Output = Outcome;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Outcome>, ServoError> {
+        let ended = match self.advance(scope, sink) {
+            Ok(ended) => ended,
+            Err(error) => Some(self.answer(error)?),
+        };
+        Ok(match ended {
+            None => Progress::Continue,
+            Some(outcome) => {
+                self.state = State::Ended;
+                let event = Event::Finished {
+                    outcome: outcome.clone(),
+                };
+                tell(scope, sink, event);
+                Progress::Done(outcome)
+            }
+        })
+    }
+}

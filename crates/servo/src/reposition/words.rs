@@ -1,0 +1,101 @@
+//! The end of a run in words.
+
+use super::{Reason, Verdict};
+use crate::target::{MIN_TARGET_FEATURES, rival_in_words};
+use crate::{ServoEnd, ServoResult};
+
+/// The answer that the end of the last loop means, at the magnification `at`. `seen_below`: the target was seen at a lower one.
+pub(super) fn answer_of(
+    end: &ServoEnd,
+    at: f64,
+    seen_below: bool,
+    angle_deg: f64,
+) -> (Verdict, Reason, String) {
+    match end {
+        ServoEnd::Converged(result) => converged(result, angle_deg),
+        ServoEnd::Lost(reason) => {
+            let advice = if seen_below {
+                "It was seen at a lower magnification, so look for a bubble, poor focus or a slipping stage"
+            } else {
+                "Bring the specimen so that the place lies in the field at the lowest magnification"
+            };
+            let message =
+                format!("the saved view was not found at {at}x: {reason}. {advice}, and try again");
+            (Verdict::NotFound, Reason::TargetNotInView, message)
+        }
+        ServoEnd::IterationLimit(result) => {
+            let message = format!(
+                "at {at}x the view was still {:.2} um off after {} iterations; raise the limit or lambda, or look for \
+                     vibration",
+                result.error.distance_um(),
+                result.iterations
+            );
+            (Verdict::Refused, Reason::IterationLimit, message)
+        }
+        ServoEnd::Ambiguous { rival, um_per_px } => {
+            let message = format!(
+                "at {at}x another place looks just like the saved view, {} away, and which is which could not be told: save a view \
+                     with something that is there only once, a defect or an edge",
+                rival_in_words(rival, Some(*um_per_px))
+            );
+            (Verdict::Ambiguous, Reason::Ambiguous, message)
+        }
+        ServoEnd::NothingMoves { moved_um } => {
+            let message = format!(
+                "at {at}x the stage moved by {moved_um:.1} um, and nothing in the picture moved with it: the stage is stuck, or all that \
+                     agrees with the saved view is on the camera (dust, a reticle, burnt-in text)"
+            );
+            (Verdict::Refused, Reason::NothingMoves, message)
+        }
+        ServoEnd::Unproven(_) => {
+            let message = format!(
+                "at {at}x the picture agrees with the saved view, but too little of what agrees was seen to move with the specimen: the \
+                     rest may be on the camera. Clean it, or save a view with more tissue"
+            );
+            (Verdict::Refused, Reason::Unproven, message)
+        }
+        ServoEnd::Drifting { um_per_s, .. } => {
+            let message = format!(
+                "the view drifts by {um_per_s:.2} um per second while the stage stands: wait until it rests, and look for what slips or \
+                     warms up, then try again"
+            );
+            (Verdict::Refused, Reason::Drifting, message)
+        }
+        ServoEnd::Diverged(result) => {
+            let message = format!(
+                "at {at}x the view moved away, to {:.0} um, and the run was stopped: calibrate again and check that \
+                     nothing slips",
+                result.error.distance_um()
+            );
+            (Verdict::Refused, Reason::Diverged, message)
+        }
+    }
+}
+
+/// The place is back; the angle may be left, by more than `angle_deg`, where the stage cannot turn.
+fn converged(result: &ServoResult, angle_deg: f64) -> (Verdict, Reason, String) {
+    let left_deg = result.error.angle_deg().abs() - 2.0 * result.sigma_deg;
+    if left_deg > angle_deg.max(0.02) {
+        let message = format!(
+            "the place is back, {:.2} um off, but {:.3} deg are left and this stage cannot turn: turn the specimen \
+             by hand and try again",
+            result.error.distance_um(),
+            result.error.angle_deg()
+        );
+        return (Verdict::Refused, Reason::CannotTurn, message);
+    }
+    let message = format!(
+        "the saved view is back, {:.2} um and {:.4} deg off by its own measurement",
+        result.error.distance_um(),
+        result.error.angle_deg().abs()
+    );
+    (Verdict::Arrived, Reason::Converged, message)
+}
+
+/// A target with too little to come back to.
+pub(super) fn blank_target(features: usize) -> String {
+    format!(
+        "the target has {features} features and at least {MIN_TARGET_FEATURES} are needed to recognise it: \
+         save a view with more tissue in focus"
+    )
+}
