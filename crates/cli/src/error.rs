@@ -2,8 +2,8 @@
 
 use clap::ValueEnum;
 use scopeservo_library::LibraryError;
-use scopeservo_scope::{ErrorKind, Remedy, ScopeError};
-use scopeservo_servo::ServoError;
+use scopeservo_scope::{Remedy as ScopeRemedy, ScopeError};
+use scopeservo_servo::{ErrorCode, Remedy, ServoError};
 use scopeservo_setup::SetupError;
 use scopeservo_slide::SlideError;
 use scopeservo_station::JobError;
@@ -151,14 +151,14 @@ impl CliError {
     /// What is wrong, and which command or flag of this program helps.
     pub(crate) fn words(&self) -> String {
         let remedy = match self {
-            Self::Servo(ServoError::Scope(error)) => error.remedy(),
+            Self::Servo(error) => error.remedy(),
             Self::Setup(SetupError::Read { .. }) => {
                 return format!("{self}. `scopeservo init` writes one");
             }
             Self::Library(LibraryError::NoTarget { known, .. }) if known.is_empty() => {
                 return format!("{self}: `scopeservo target save NAME`");
             }
-            Self::Setup(error) => error.remedy(),
+            Self::Setup(error) => error.remedy().map(Remedy::Scope),
             _ => None,
         };
         match remedy {
@@ -199,11 +199,13 @@ fn library_code(error: &LibraryError) -> Code {
 /// The end of the sentence that an error is.
 fn advice(remedy: &Remedy) -> String {
     match remedy {
-        Remedy::Home => ", then allow it with --home".into(),
-        Remedy::BringBack => ": `scopeservo stage go`".into(),
-        Remedy::FocusNear { objective, z_um } => {
+        Remedy::Scope(ScopeRemedy::Home) => ", then allow it with --home".into(),
+        Remedy::Scope(ScopeRemedy::BringBack) => ": `scopeservo stage go`".into(),
+        Remedy::Scope(ScopeRemedy::FocusNear { objective, z_um }) => {
             format!(": `scopeservo focus --objective {objective} --near-z-um {z_um:.1}`")
         }
+        Remedy::DescribeOneObjective => " (nosepiece = \"none\")".into(),
+        Remedy::CorrectScales => " (um_per_px)".into(),
         _ => String::new(),
     }
 }
@@ -216,38 +218,23 @@ fn setup_code(error: &SetupError) -> Code {
         SetupError::Held { .. } => Code::CannotWrite,
         // What the file sets cannot be.
         SetupError::Scope(ScopeError::BadSetting { .. }) => Code::BadDescription,
-        SetupError::Scope(error) => scope_code(error),
+        SetupError::Scope(error) => servo_code(&ServoError::Scope(error.clone())),
         _ => Code::BadDescription,
     }
 }
 
-/// What was looked for and not found, and what was seen and refused, is an answer.
 fn servo_code(error: &ServoError) -> Code {
-    match error {
-        ServoError::Scope(error) => scope_code(error),
-        ServoError::NoFocus { .. } => Code::NoFocus,
-        ServoError::CalibrationViews { .. }
-        | ServoError::CalibrationImplausible { .. }
-        | ServoError::CalibrationInconsistent { .. } => Code::CalibrationFailed,
-        ServoError::ObjectiveUnclear { .. }
-        | ServoError::PictureStays { .. }
-        | ServoError::StageTooCoarse { .. }
-        | ServoError::WrongObjective { .. } => Code::WrongObjective,
-        ServoError::PoorTarget { .. } => Code::PoorTarget,
-        ServoError::NothingMoves { .. } => Code::NothingMoves,
-        ServoError::Repeats { .. } => Code::Ambiguous,
-        ServoError::MovesTooFar { .. } => Code::Refused,
-        ServoError::StaysNear { .. } => Code::Fault,
-        _ => Code::Internal,
-    }
-}
-
-/// What the instrument refuses is an answer; a fault or a stop is none.
-fn scope_code(error: &ScopeError) -> Code {
-    match error.kind() {
-        ErrorKind::Refused => Code::Refused,
-        ErrorKind::Interrupted => Code::Interrupted,
-        _ => Code::Fault,
+    match error.code() {
+        ErrorCode::NoFocus => Code::NoFocus,
+        ErrorCode::CalibrationFailed => Code::CalibrationFailed,
+        ErrorCode::WrongObjective => Code::WrongObjective,
+        ErrorCode::PoorTarget => Code::PoorTarget,
+        ErrorCode::NothingMoves => Code::NothingMoves,
+        ErrorCode::Ambiguous => Code::Ambiguous,
+        ErrorCode::OutsideLimits | ErrorCode::Refused => Code::Refused,
+        ErrorCode::Interrupted => Code::Interrupted,
+        ErrorCode::Fault => Code::Fault,
+        ErrorCode::Internal => Code::Internal,
     }
 }
 
@@ -298,6 +285,23 @@ mod tests {
             change.ends_with("from before: `scopeservo focus --objective 40x --near-z-um 12.3`"),
             "{change}"
         );
+    }
+
+    #[test]
+    fn an_error_of_a_procedure_names_the_key_of_the_file_that_helps() {
+        let objective = || scopeservo_scope::ObjectiveId("40x".into());
+        let coarse = CliError::from(ServoError::StageTooCoarse {
+            objective: objective(),
+            moved_um: 5.0,
+            scatter_um: 4.0,
+        });
+        assert!(coarse.words().ends_with("(nosepiece = \"none\")"));
+        let wrong = CliError::from(ServoError::WrongObjective {
+            told: objective(),
+            looks_like: None,
+            um_per_px: 1.0,
+        });
+        assert!(wrong.words().ends_with("(um_per_px)"), "{}", wrong.words());
     }
 
     #[test]

@@ -356,7 +356,7 @@ impl Calibrate {
 }
 
 fn no_reference() -> ServoError {
-    ServoError::BadOption("a stored calibration state has no reference view; start it anew".into())
+    ServoError::CannotGoOn("a stored calibration state has no reference view; start it anew".into())
 }
 
 impl Calibrate {

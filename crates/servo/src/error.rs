@@ -113,8 +113,8 @@ pub enum ServoError {
     /// The stage scatters too much for a move that stays in the field.
     #[error(
         "whether {objective} is in the beam could not be told: the stage arrives to within {scatter_um:.1} um, and a move of \
-         {moved_um:.1} um is the longest that stays in the field. Look yourself, and describe one objective with nosepiece = \"none\" \
-         if it must do without"
+         {moved_um:.1} um is the longest that stays in the field. Look yourself, and describe one objective \
+         alone if it must do without"
     )]
     StageTooCoarse {
         /// The objective that is said to be there.
@@ -127,7 +127,7 @@ pub enum ServoError {
     /// The picture shows another objective than the one that is said to be there.
     #[error(
         "{told} was asked for, but the picture has {um_per_px:.3} um per pixel, {}: nothing was done with it. Bring {told} into the \
-         beam, or correct um_per_px of the objectives",
+         beam, or correct the scales of the objectives",
         looks_like.as_ref().map_or("which fits no objective".into(), |o| format!("as {o} has"))
     )]
     WrongObjective {
@@ -187,7 +187,7 @@ pub enum ServoError {
         /// Why the stage stays.
         why: ScopeError,
     },
-    /// A setting that makes no sense.
+    /// What is needed to go on is not there, or there is nothing to go on with.
     #[error("{0}")]
-    BadOption(String),
+    CannotGoOn(String),
 }

@@ -13,6 +13,7 @@
 mod bring;
 mod calibrate;
 mod calibration;
+mod code;
 mod compact;
 mod error;
 mod event;
@@ -34,6 +35,7 @@ mod vision;
 pub use bring::Bring;
 pub use calibrate::{Calibrate, CalibrateOptions};
 pub use calibration::{CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
+pub use code::{ErrorCode, ErrorKind, Remedy};
 pub use compact::{features_from_bytes, features_to_bytes};
 pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};

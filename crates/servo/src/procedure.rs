@@ -1,7 +1,7 @@
 //! Step machines: the common shape of everything that takes time.
 
-use crate::{ServoError, Sink};
-use scopeservo_scope::{ErrorKind, Instrument};
+use crate::{ErrorKind, ServoError, Sink};
+use scopeservo_scope::Instrument;
 
 /// What a step achieved.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,12 +35,12 @@ pub(crate) fn withdrawn<T>(
     ended: Result<T, ServoError>,
 ) -> Result<T, ServoError> {
     let Err(error) = ended else { return ended };
-    let stopped = matches!(&error, ServoError::Scope(e) if e.kind() == ErrorKind::Interrupted);
+    let stopped = error.kind() == ErrorKind::Interruption;
     match stopped || matches!(error, ServoError::StaysNear { .. }) {
         true => Err(error),
         false => match scope.withdraw() {
             Ok(()) => Err(error),
-            Err(why) if why.kind() == ErrorKind::Interrupted => Err(why.into()),
+            Err(why) if why.kind() == scopeservo_scope::ErrorKind::Interrupted => Err(why.into()),
             // The same trouble as before is told once.
             Err(why) if matches!(&error, ServoError::Scope(e) if *e == why) => Err(error),
             Err(why) => Err(ServoError::StaysNear {

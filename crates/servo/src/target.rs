@@ -79,7 +79,7 @@ impl Target {
     /// Grabs the present view as a target without moving anything: nobody knows yet what of it belongs to the specimen.
     ///
     /// # Errors
-    /// Instrument and detector errors; [`ServoError::BadOption`] when no objective is in the beam.
+    /// Instrument and detector errors; [`ServoError::CannotGoOn`] when no objective is in the beam.
     pub fn save(
         scope: &Instrument,
         options: &VisionOptions,
@@ -94,7 +94,7 @@ impl Target {
         sink: &mut dyn Sink,
     ) -> Result<(Self, GrayImage, Arc<Frame>), ServoError> {
         let objective = scope.gate().current_objective()?.ok_or_else(|| {
-            ServoError::BadOption("no objective is in the beam; select one and try again".into())
+            ServoError::CannotGoOn("no objective is in the beam; select one and try again".into())
         })?;
         let frame = grab(scope, sink, FrameRole::Target, &objective)?;
         let image = gray(scope, &frame)?;

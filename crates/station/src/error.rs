@@ -2,7 +2,7 @@
 
 use crate::{JobId, JournalError, QuestionId};
 use scopeservo_scope::{ScopeError, StagePose};
-use scopeservo_servo::ServoError;
+use scopeservo_servo::{ErrorKind, ServoError};
 use thiserror::Error;
 
 /// Why a job has no answer.
@@ -33,6 +33,18 @@ pub enum JobError {
         /// What it said.
         what: String,
     },
+}
+
+impl JobError {
+    /// What kind of trouble it is.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Stopped { .. } => ErrorKind::Interruption,
+            Self::Procedure(error) => error.kind(),
+            Self::NoObjective { .. } => ErrorKind::Refusal,
+            Self::Journal(_) | Self::Mistake { .. } => ErrorKind::Fault,
+        }
+    }
 }
 
 impl From<ServoError> for JobError {

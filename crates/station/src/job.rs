@@ -4,6 +4,7 @@ use crate::question::Questions;
 use crate::session::Shared;
 use crate::{JobError, Kept, Lease, Refusal, lock};
 use scopeservo_scope::{CancelToken, ScopeError, StagePose};
+use scopeservo_servo::ErrorKind;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::Deref;
@@ -60,6 +61,9 @@ pub enum Ended {
     Failed {
         /// For people.
         message: String,
+        /// What kind of trouble it was, for programs.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        kind: Option<ErrorKind>,
     },
 }
 
@@ -89,6 +93,7 @@ impl Ended {
             Err(JobError::Stopped { at }) => Self::Stopped { at: *at },
             Err(error) => Self::Failed {
                 message: error.to_string(),
+                kind: Some(error.kind()),
             },
         }
     }

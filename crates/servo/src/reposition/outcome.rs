@@ -1,7 +1,7 @@
 //! The answer of a run.
 
-use crate::{Calibration, ServoEnd, ServoError};
-use scopeservo_scope::{ObjectiveId, ScopeError};
+use crate::{Calibration, ErrorCode, ServoEnd, ServoError};
+use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 
 /// The answers.
@@ -88,27 +88,18 @@ pub struct Outcome {
 impl Reason {
     /// The reason why a run that ends with this error is refused; `None` for a fault or an interruption.
     pub fn of(error: &ServoError) -> Option<Self> {
-        Some(match error {
-            ServoError::NoFocus { .. } => Reason::NoFocus,
-            ServoError::PoorTarget { .. } => Reason::BlankTarget,
-            ServoError::NothingMoves { .. } => Reason::NothingMoves,
-            ServoError::Repeats { .. } => Reason::Ambiguous,
-            ServoError::WrongObjective { .. }
-            | ServoError::ObjectiveUnclear { .. }
-            | ServoError::PictureStays { .. }
-            | ServoError::StageTooCoarse { .. } => Reason::WrongObjective,
-            ServoError::CalibrationViews { .. }
-            | ServoError::CalibrationImplausible { .. }
-            | ServoError::CalibrationInconsistent { .. } => Reason::CalibrationFailed,
-            ServoError::Scope(
-                ScopeError::OutsideLimits { .. }
-                | ScopeError::StandsOutside { .. }
-                | ScopeError::OutsideWorkspace { .. }
-                | ScopeError::TooClose { .. }
-                | ScopeError::StepTooLarge { .. }
-                | ScopeError::NotRetracted { .. },
-            ) => Reason::OutsideLimits,
-            _ => return None,
+        Some(match error.code() {
+            ErrorCode::NoFocus => Self::NoFocus,
+            ErrorCode::PoorTarget => Self::BlankTarget,
+            ErrorCode::NothingMoves => Self::NothingMoves,
+            ErrorCode::Ambiguous => Self::Ambiguous,
+            ErrorCode::WrongObjective => Self::WrongObjective,
+            ErrorCode::CalibrationFailed => Self::CalibrationFailed,
+            ErrorCode::OutsideLimits => Self::OutsideLimits,
+            ErrorCode::Refused
+            | ErrorCode::Interrupted
+            | ErrorCode::Fault
+            | ErrorCode::Internal => return None,
         })
     }
 }

@@ -92,7 +92,7 @@ impl Reposition {
     }
 
     fn target(&self) -> Result<Arc<Target>, ServoError> {
-        let lacks = || ServoError::BadOption("a stored run needs its target".into());
+        let lacks = || ServoError::CannotGoOn("a stored run needs its target".into());
         self.target.clone().ok_or_else(lacks)
     }
 
@@ -194,7 +194,7 @@ impl Reposition {
             State::Begin => return self.begin(scope, sink, &target),
             State::Under { leg, work } => (leg.clone(), work),
             State::Ended => {
-                return Err(ServoError::BadOption(
+                return Err(ServoError::CannotGoOn(
                     "this run has ended already; start a new one".into(),
                 ));
             }
@@ -222,7 +222,7 @@ impl Reposition {
             }
             Work::Servo(servo) => {
                 let missing = || {
-                    ServoError::BadOption("a stored run lacks a calibration; start it anew".into())
+                    ServoError::CannotGoOn("a stored run lacks a calibration; start it anew".into())
                 };
                 let here = self.calibrations.get(leg.objective());
                 let task = ServoTask {
