@@ -69,7 +69,7 @@ impl Taken {
     /// The grey picture, without the shadows on the camera, as features are made of it.
     ///
     /// # Errors
-    /// [`ServoError::Sift`] when it has no pixels.
+    /// [`ServoError::Features`] when it has no pixels.
     pub fn gray(&self) -> Result<GrayImage, ServoError> {
         crate::vision::gray_of(&self.frame, self.flat_field.as_deref())
     }
