@@ -1,0 +1,62 @@
+//! From the observations to the calibration, and whether it can be one.
+
+use super::plan::NEEDED;
+use super::procedure::{Calibrate, no_reference};
+use crate::hand_eye::{covariance, explained_px, pose_sigma, solve_hand_eye};
+use crate::{CALIBRATION_SCHEMA, Calibration, ServoError};
+use scopeservo_scope::Instrument;
+
+impl Calibrate {
+    /// The calibration and its residual, px; refused where it contradicts what is engraved or what the stage reported.
+    pub(super) fn finish(&self, scope: &Instrument) -> Result<(Calibration, f64), ServoError> {
+        let info = scope.gate().info();
+        let reference = self.reference_pose.ok_or_else(no_reference)?;
+        let (pixel_from_stage, eta, residual_px) = solve_hand_eye(
+            info.kinematics,
+            &reference,
+            &self.translations,
+            &self.rotations,
+        )
+        .ok_or_else(|| self.too_few(self.translations.len(), NEEDED))?;
+        let stage_from_pixel = pixel_from_stage
+            .inverse()
+            .ok_or_else(|| self.too_few(self.translations.len(), NEEDED))?;
+        let pose_sigma = pose_sigma(info);
+        let camera = scope.camera().info();
+        let calibration = Calibration {
+            schema: CALIBRATION_SCHEMA,
+            objective: self.objective.id.clone(),
+            image_size_px: [camera.width, camera.height],
+            stage_from_pixel,
+            rotation_centre_m: eta,
+            covariance: covariance(
+                info.kinematics,
+                &reference,
+                &self.translations,
+                &self.rotations,
+                pose_sigma,
+            ),
+        };
+        let (measured, nominal) = (calibration.um_per_px(), self.objective.nominal_um_per_px);
+        let factor = (measured / nominal).max(nominal / measured);
+        if factor.is_nan() || factor > self.options.nominal_factor {
+            return Err(ServoError::CalibrationImplausible {
+                objective: self.objective.id.clone(),
+                measured_um_per_px: measured,
+                nominal_um_per_px: nominal,
+            });
+        }
+        // One pixel is for what the data sheet does not name: vibration, drift, the slide's seat.
+        let explained_px = explained_px(&reference, &calibration, info.kinematics, pose_sigma);
+        let allowed_px = 1.0 + self.options.residual_factor * explained_px;
+        let [large, small] = stage_from_pixel.svd().s;
+        if residual_px > allowed_px || large > self.options.anisotropy * small {
+            return Err(ServoError::CalibrationInconsistent {
+                objective: self.objective.id.clone(),
+                residual_px,
+                allowed_px,
+            });
+        }
+        Ok((calibration, residual_px))
+    }
+}

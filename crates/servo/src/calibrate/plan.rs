@@ -1,0 +1,66 @@
+//! Which moves a calibration makes.
+
+use scopeservo_geometry::Vec2;
+use serde::{Deserialize, Serialize};
+
+/// Settings of a calibration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CalibrateOptions {
+    /// Radius of the eight translations, as a share of the shorter side of the field.
+    pub translation_share: f64,
+    /// Sweep of the view in a rotation, as a share of the shorter side of the field.
+    pub rotation_share: f64,
+    /// Largest rotation, radians.
+    pub max_rotation_rad: f64,
+    /// Measured over nominal um per pixel may be this, or one over this, at most.
+    pub nominal_factor: f64,
+    /// The residual may be this many times what the stage's repeatability explains, at most.
+    pub residual_factor: f64,
+    /// One direction's scale over the other's, at most.
+    pub anisotropy: f64,
+}
+
+impl Default for CalibrateOptions {
+    fn default() -> Self {
+        Self {
+            translation_share: 0.35,
+            rotation_share: 0.4,
+            max_rotation_rad: 0.08,
+            nominal_factor: 1.5,
+            residual_factor: 4.0,
+            anisotropy: 1.2,
+        }
+    }
+}
+
+/// Moves at a share of the field in eight directions, opposite ones after each other: slow drift cancels.
+pub(crate) const DIRECTIONS: [Vec2; 8] = [
+    [1.0, 0.0],
+    [-1.0, 0.0],
+    [0.0, 1.0],
+    [0.0, -1.0],
+    [0.707, 0.707],
+    [-0.707, -0.707],
+    [-0.707, 0.707],
+    [0.707, -0.707],
+];
+/// Translations that must be measured.
+pub(super) const NEEDED: usize = 4;
+/// A place that stayed in so many translations is fixed to the camera.
+pub(super) const STAYED: usize = 2;
+/// The radius is halved at most so often when views are not found.
+pub(super) const HALVINGS: u8 = 3;
+/// The first trial rotation: with a lever arm of 0.3 m it sweeps 9 um.
+pub(super) const FIRST_ROTATION_RAD: f64 = 3e-5;
+
+/// What comes next.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum State {
+    Reference,
+    Translate { index: usize, halvings: u8 },
+    Probe { angle_rad: f64, tries: u8 },
+    Rotate { angles_rad: Vec<f64> },
+    Return,
+}
