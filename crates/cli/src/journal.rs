@@ -17,6 +17,8 @@ pub(crate) struct Asked {
     pub(crate) inputs: Value,
     /// Name and id of the target that it refers to.
     pub(crate) target: Option<[String; 2]>,
+    /// It goes on: what is kept of it stays until its next step replaces it.
+    pub(crate) resumed: bool,
 }
 
 /// A calibration that a job made, and where it is kept.
@@ -61,13 +63,14 @@ impl FileJournal {
 
     /// The job that is started next.
     pub(crate) fn comes(&self, job: &str, asked: Asked) {
+        let head = (!asked.resumed).then(|| JournalHead {
+            job: job.into(),
+            began: utc(SystemTime::now()),
+            inputs: asked.inputs,
+            target: asked.target,
+        });
         *self.at_work() = AtWork {
-            head: Some(JournalHead {
-                job: job.into(),
-                began: utc(SystemTime::now()),
-                inputs: asked.inputs,
-                target: asked.target,
-            }),
+            head,
             ..AtWork::default()
         };
     }

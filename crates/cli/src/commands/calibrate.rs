@@ -36,7 +36,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
     };
     let asked = Asked {
         inputs: json!(input),
-        target: None,
+        ..Asked::default()
     };
     run(&desk, CalibrateJob::new(input), asked, answer)
 }

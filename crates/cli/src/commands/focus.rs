@@ -36,7 +36,7 @@ pub(crate) fn focus(args: &FocusArgs, answer: &Answer) -> Result<bool, CliError>
     };
     let asked = Asked {
         inputs: json!(input),
-        target: None,
+        ..Asked::default()
     };
     run(&desk, FocusJob::new(input), asked, answer)
 }

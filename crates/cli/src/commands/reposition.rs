@@ -52,6 +52,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
     let asked = Asked {
         inputs: json!({"name": args.name, "options": input.options}),
         target: Some([args.name.clone(), kept.id]),
+        ..Asked::default()
     };
     let job = RepositionJob::new(kept.target, input);
     run(&desk, &args.name, job, asked, &args.out, answer)

@@ -40,6 +40,7 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
     let asked = Asked {
         inputs: left.head.inputs.clone(),
         target: left.head.target.clone(),
+        resumed: true,
     };
     let state = left.step.as_ref().map(|step| step.state.clone());
     let Some(state) = state else {

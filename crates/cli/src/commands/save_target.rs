@@ -26,7 +26,7 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
     };
     let asked = Asked {
         inputs: json!({"name": args.name, "input": input}),
-        target: None,
+        ..Asked::default()
     };
     run(&desk, &args.name, SaveTargetJob::new(input), asked, answer)
 }
