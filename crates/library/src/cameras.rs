@@ -2,10 +2,9 @@
 
 use crate::LibraryError;
 use crate::files::{self, make_folder};
-use crate::folder::Folder;
+use crate::folder::{self, Folder};
 use crate::names::file_name;
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder as _};
+use image::ExtendedColorType;
 use scopeservo_scope::FlatField;
 use std::path::PathBuf;
 
@@ -84,12 +83,11 @@ pub(crate) fn to_png(seen: &FlatField) -> Result<Vec<u8>, LibraryError> {
         .iter()
         .flat_map(|t| level(t).to_ne_bytes())
         .collect();
-    let [width, height] = [seen.width(), seen.height()].map(|v| v as u32);
-    let mut png = Vec::new();
-    PngEncoder::new(&mut png)
-        .write_image(&bytes, width, height, ExtendedColorType::L16)
-        .map_err(|e| LibraryError::Encode(e.to_string()))?;
-    Ok(png)
+    folder::to_png(
+        &bytes,
+        [seen.width(), seen.height()],
+        ExtendedColorType::L16,
+    )
 }
 
 #[cfg(test)]

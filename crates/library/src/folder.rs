@@ -2,6 +2,8 @@
 
 use crate::LibraryError;
 use crate::files;
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder as _};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fs;
@@ -78,4 +80,17 @@ pub(crate) fn read<T: DeserializeOwned>(path: &Path) -> Result<T, LibraryError> 
 
 pub(crate) fn to_json(value: &impl Serialize) -> Result<Vec<u8>, LibraryError> {
     serde_json::to_vec_pretty(value).map_err(|e| LibraryError::Encode(e.to_string()))
+}
+
+/// A picture as a PNG; samples of 16 bits in the machine's order.
+pub(crate) fn to_png(
+    samples: &[u8],
+    [width, height]: [usize; 2],
+    color: ExtendedColorType,
+) -> Result<Vec<u8>, LibraryError> {
+    let mut png = Vec::new();
+    PngEncoder::new(&mut png)
+        .write_image(samples, width as u32, height as u32, color)
+        .map_err(|e| LibraryError::Encode(e.to_string()))?;
+    Ok(png)
 }

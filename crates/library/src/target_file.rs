@@ -8,9 +8,9 @@
 //! | `features.bin` | the features, little endian: "SSF1", width, height, count (u32), then for each x, y, sigma, angle, response (f32), octave (i8), layer (u8), bright (u8), 0, and 128 components (u8) |
 //! | `SHA256SUMS` | the checksums of all others, as `sha256sum --check` reads them; its own is the target's id |
 
+use crate::folder::to_png;
 use crate::{KeptTarget, LibraryError, cameras};
-use image::codecs::png::PngEncoder;
-use image::{DynamicImage, ExtendedColorType, ImageEncoder as _};
+use image::{DynamicImage, ExtendedColorType};
 use scopeservo_scope::{
     Channels, FlatField, Frame, Kinematics, ObjectiveId, Samples, StagePose, Timestamp,
 };
@@ -264,11 +264,7 @@ fn picture(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
             },
         ),
     };
-    let mut png = Vec::new();
-    PngEncoder::new(&mut png)
-        .write_image(&bytes, frame.width as u32, frame.height as u32, color)
-        .map_err(|e| LibraryError::Encode(e.to_string()))?;
-    Ok(png)
+    to_png(&bytes, [frame.width, frame.height], color)
 }
 
 #[cfg(test)]

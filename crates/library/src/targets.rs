@@ -2,11 +2,10 @@
 //! people.
 
 use crate::files::{self, make_folder, write_new};
-use crate::folder::{Folder, entries, is_json, read};
+use crate::folder::{Folder, entries, is_json, read, to_png};
 use crate::names::{check_name, utc};
 use crate::{LibraryError, target_file};
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder as _};
+use image::ExtendedColorType;
 use scopeservo_scope::{Channels, Frame, Samples, StagePose, Timestamp};
 use scopeservo_servo::Target;
 use serde::Deserialize;
@@ -271,12 +270,8 @@ fn read_target(path: &Path) -> Result<KeptTarget, LibraryError> {
 
 /// A picture for people.
 fn png(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
-    let (width, height) = (frame.width as u32, frame.height as u32);
-    let mut png = Vec::new();
-    PngEncoder::new(&mut png)
-        .write_image(&frame.rgb8(), width, height, ExtendedColorType::Rgb8)
-        .map_err(|e| LibraryError::Encode(e.to_string()))?;
-    Ok(png)
+    let size = [frame.width, frame.height];
+    to_png(&frame.rgb8(), size, ExtendedColorType::Rgb8)
 }
 
 fn taken(name: &str, file: PathBuf) -> LibraryError {
