@@ -8,11 +8,12 @@ use crate::output::{self, DemoJson};
 use crate::progress::Watcher;
 use crate::threads::with_threads;
 use crate::views::{ViewWriter, clear_earlier_run, keep_json, keep_report, try_out};
+use scopeservo_features::Engine;
 use scopeservo_report as report;
 use scopeservo_scope::{Instrument, ObjectiveId};
 use scopeservo_servo::{
-    Engine, Event, Outcome, Reason, Reposition, RepositionOptions, ServoError, ServoOptions, Sink,
-    Stamped, Verdict,
+    Event, Outcome, Reason, Reposition, RepositionOptions, ServoError, ServoOptions, Sink, Stamped,
+    Verdict,
 };
 use scopeservo_twin::Truth;
 use serde_json::json;
@@ -117,7 +118,7 @@ fn demo(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
         .as_ref()
         .zip(last)
         .map(|(target, last)| arrival_error(target, &last));
-    let engine = Engine::current();
+    let engine = Engine::default().info();
     let counters = scope.counters();
     let result = DemoJson {
         verdict: outcome.verdict,

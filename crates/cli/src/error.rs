@@ -56,7 +56,7 @@ pub(crate) enum CliError {
     #[error(transparent)]
     Twin(#[from] scopeservo_twin::TwinError),
     #[error("the features could not be computed: {0}")]
-    Features(#[from] scopeservo_sift::SiftError),
+    Features(#[from] scopeservo_features::FeatureError),
     /// Where there is no instrument yet that would have to be stopped.
     #[error("stopped on request")]
     Interrupted,

@@ -5,12 +5,11 @@ use crate::args::RegisterArgs;
 use crate::error::CliError;
 use crate::output::RegisterJson;
 use crate::threads::with_threads;
+use scopeservo_features::{Engine, FeatureError, GrayImage};
 use scopeservo_geometry::{Affine2, Mat2};
 use scopeservo_registration::{
-    Allow, Estimate, NotFound, Options, PictureVerdict, Prior, Rival, register_pictures,
+    Allow, Estimate, NotFound, Options, PictureVerdict, Prior, Rival, register, register_pictures,
 };
-use scopeservo_servo::Engine;
-use scopeservo_sift::{Features, GrayImage, Sift};
 use scopeservo_slide::Slide;
 use serde_json::json;
 use std::path::Path;
@@ -43,29 +42,26 @@ pub(crate) fn run(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError
 fn look(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError> {
     let (view, view_factor) = load(&args.view, args)?;
     let (target, target_factor) = load(&args.target, args)?;
-    let mut sift = Sift::new(scopeservo_sift::Options {
-        max_features: args.features,
-        ..Default::default()
-    })?;
-    let target_features = sift.detect_and_describe(&target);
-    let mut features = Features::default();
+    let (engine, most) = (Engine::default(), args.features);
+    let target_features = engine.features(&target, most)?;
     let (prior, options) = (Prior::default(), Options::default());
     // First the times, which warm the caches for nobody else.
-    let ms = args.time.map(|repetitions| {
-        median((0..repetitions).map(|_| {
-            let start = Instant::now();
-            sift.detect_and_describe_into(&view, &mut features);
-            scopeservo_registration::register(&features, &target_features, &prior, &options);
-            start.elapsed().as_secs_f64() * 1e3
-        }))
-    });
-    sift.detect_and_describe_into(&view, &mut features);
+    let once = |_| {
+        let start = Instant::now();
+        let features = engine.features(&view, most)?;
+        register(&*engine, &features, &target_features, &prior, &options);
+        Ok(start.elapsed().as_secs_f64() * 1e3)
+    };
+    let times = args.time.map(|n| (0..n).map(once).collect());
+    let times: Option<Vec<f64>> = times.transpose().map_err(|e: FeatureError| e)?;
+    let ms = times.map(|times| median(times.into_iter()));
+    let features = engine.features(&view, most)?;
     let allow = Allow {
         same_place: args.same_place,
         mirror: args.mirror,
     };
     let (seen, verdict) = register_pictures(
-        &mut sift,
+        (&*engine, most),
         (&view, &features),
         (&target, &target_features),
         &prior,
@@ -73,7 +69,7 @@ fn look(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError> {
         allow,
     )?;
 
-    let engine = Engine::current();
+    let info = engine.info();
     let mut json = RegisterJson {
         verdict: "not_found",
         reason: String::new(),
@@ -91,8 +87,8 @@ fn look(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError> {
         reduced: [view_factor, target_factor],
         level: args.level,
         ms,
-        engine: engine.name,
-        cpu_level: engine.cpu_level,
+        engine: info.name,
+        cpu_level: info.cpu_level,
     };
     let full = Full {
         view_factor,
@@ -252,6 +248,7 @@ fn show(answer: &Answer, json: &RegisterJson) {
 fn code(reason: &NotFound) -> &'static str {
     match reason {
         NotFound::TooFewFeatures { .. } => "too_few_features",
+        NotFound::NotComparable { .. } => "not_comparable",
         NotFound::TooFewMatches { .. } => "too_few_matches",
         NotFound::NoAgreement { .. } => "no_agreement",
         NotFound::ByChance { .. } => "by_chance",
@@ -291,7 +288,7 @@ fn reduce(
     height: usize,
     data: Vec<f32>,
     factor: usize,
-) -> Result<GrayImage, CliError> {
+) -> Result<GrayImage, FeatureError> {
     if factor == 1 {
         return Ok(GrayImage::new(width, height, data)?);
     }

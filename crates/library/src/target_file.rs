@@ -5,18 +5,18 @@
 //! | `target.json` | how it was taken: objective, pixel size, stage pose, calibration, exposure, quality |
 //! | `image.png` | the picture as the camera gave it, in full depth; samples of 9 to 15 bits lie in the high bits of 16 |
 //! | `shadows.png` | what lay on the camera, where something did: a grey picture of 16 bits, 16384 is a clear pixel |
-//! | `features.bin` | the features, little endian: "SSF1", width, height, count (u32), then for each x, y, sigma, angle, response (f32), octave (i8), layer (u8), bright (u8), 0, and 128 components (u8) |
+//! | `mask.png` | what of the picture was seen to move with the stage, where that was looked at: a pixel for each cell, white where it moved |
+//! | `features.bin` | the features and the name of their engine, little endian: "SSF2", length of the name (u32), name, width, height, count, form (0 bytes, 1 bits, 2 floats), components (u32), then for each x, y, sigma, angle, response (f32), octave (i8), layer (u8), bright (u8), 0, and the components (u8 or f32) |
 //! | `SHA256SUMS` | the checksums of all others, as `sha256sum --check` reads them; its own is the target's id |
 
 use crate::folder::to_png;
 use crate::{KeptTarget, LibraryError, cameras};
 use image::{DynamicImage, ExtendedColorType};
+use scopeservo_features::{Features, Mask};
 use scopeservo_scope::{
     Channels, FlatField, Frame, Kinematics, ObjectiveId, Samples, StagePose, Timestamp,
 };
-use scopeservo_servo::{
-    Calibration, Picture, Taken, Target, features_from_bytes, features_to_bytes,
-};
+use scopeservo_servo::{Calibration, Picture, Taken, Target};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -39,6 +39,9 @@ struct Head {
     objective: ObjectiveId,
     quality: Quality,
     periods_px: Vec<[f64; 2]>,
+    /// Side of the mask's cells.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    mask_cell_px: Option<usize>,
     stage: StagePose,
     taken: Option<HowTaken>,
     /// The grey picture of a target that was saved when nothing else was kept of it.
@@ -78,6 +81,7 @@ pub(crate) fn encode(kept: &KeptTarget) -> Result<(Vec<u8>, String), LibraryErro
             moved: target.moved,
         },
         periods_px: target.periods_px.clone(),
+        mask_cell_px: target.mask.as_ref().map(Mask::cell),
         stage: kept.stage,
         picture: target.picture.clone().filter(|_| taken.is_none()),
         taken: taken.map(|taken| HowTaken {
@@ -97,7 +101,11 @@ pub(crate) fn encode(kept: &KeptTarget) -> Result<(Vec<u8>, String), LibraryErro
             members.push(("shadows.png", cameras::to_png(shadows)?));
         }
     }
-    members.push(("features.bin", features_to_bytes(&target.features)));
+    if let Some(mask) = &target.mask {
+        let (size, cells) = mask.cells();
+        members.push(("mask.png", to_png(&cells, size, ExtendedColorType::L8)?));
+    }
+    members.push(("features.bin", target.features.to_bytes()));
     let sums: String = members
         .iter()
         .map(|(name, bytes)| format!("{}  {name}\n", checksum(bytes)))
@@ -130,7 +138,12 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<KeptTarget, String> {
         ));
     }
     let head: Head = serde_json::from_value(head).map_err(|e| e.to_string())?;
-    let features = features_from_bytes(member("features.bin")?)?;
+    let features = Features::from_bytes(member("features.bin")?).map_err(|e| e.to_string())?;
+    let of_picture = [features.width, features.height];
+    let mask = members.get("mask.png").map(|png| {
+        let cell = head.mask_cell_px.unwrap_or(0);
+        mask(png, of_picture, cell).ok_or("its mask is that of another picture")
+    });
     let shadows = members.get("shadows.png").map(|png| cameras::from_png(png));
     let taken = match head.taken {
         None => None,
@@ -154,9 +167,16 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<KeptTarget, String> {
             picture: gray.as_ref().map(Picture::of).or(head.picture),
             periods_px: head.periods_px,
             moved: head.quality.moved,
+            mask: mask.transpose()?,
             taken: taken.map(Arc::new),
         },
     })
+}
+
+/// The mask over a picture of this size.
+fn mask(png: &[u8], [width, height]: [usize; 2], cell: usize) -> Option<Mask> {
+    let image = image::load_from_memory_with_format(png, image::ImageFormat::Png);
+    Mask::from_cells(width, height, cell, image.ok()?.to_luma8().as_raw())
 }
 
 fn members(bytes: &[u8]) -> Result<BTreeMap<String, Vec<u8>>, String> {
@@ -270,7 +290,7 @@ fn picture(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use scopeservo_sift::{Descriptor, Features, Keypoint};
+    use scopeservo_features::{Descriptors, Keypoint};
 
     fn kept(bit_depth: u8, channels: Channels) -> KeptTarget {
         let samples = 40 * 30 * if channels == Channels::Rgb { 3 } else { 1 };
@@ -314,14 +334,19 @@ mod tests {
         let target = Target {
             objective: ObjectiveId("40x".into()),
             features: Features {
+                engine: "corners".into(),
                 width: 40,
                 height: 30,
                 keypoints: (0..5).map(keypoint).collect(),
-                descriptors: (0..5).map(|i| Descriptor::new([i; 128]).unwrap()).collect(),
+                descriptors: Descriptors::Floats {
+                    length: 3,
+                    data: (0..15u8).map(f32::from).collect(),
+                },
             },
             picture: Some(Picture::of(&taken.gray().unwrap())),
             periods_px: vec![[12.0, 0.5]],
             moved: Some(5),
+            mask: Some(Mask::of_cells(40, 30, 8, |[x, _]| x > 20.0)),
             taken: Some(Arc::new(taken)),
         };
         KeptTarget {

@@ -284,20 +284,18 @@ fn taken(name: &str, file: PathBuf) -> LibraryError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scopeservo_features::Features;
     use scopeservo_scope::ObjectiveId;
 
     /// A view without features: enough to be a file.
     fn view() -> (Target, Frame) {
         let target = Target {
             objective: ObjectiveId("40x".into()),
-            features: scopeservo_sift::Features {
-                width: 4,
-                height: 3,
-                ..Default::default()
-            },
+            features: Features::none("sift", 4, 3),
             picture: None,
             periods_px: Vec::new(),
             moved: None,
+            mask: None,
             taken: None,
         };
         let frame = Frame {

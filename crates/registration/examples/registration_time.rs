@@ -5,6 +5,7 @@
 
 #![expect(clippy::print_stdout, reason = "the example reports what it measured")]
 
+use scopeservo_features::{Descriptors, Engine, Features, Keypoint};
 use scopeservo_geometry::{
     Affine2, Correspondence, OrientedProblem, RansacOptions, Similarity, SplitMix64, fit_affine,
     fit_affine_robust, lo_ransac,
@@ -12,8 +13,7 @@ use scopeservo_geometry::{
 use scopeservo_registration::significance::{
     AFFINE_SAMPLE, SIMILARITY_SAMPLE, log10_nfa, occupied_area, unique_places,
 };
-use scopeservo_registration::{Options, Prior, correspondences, register_matches};
-use scopeservo_sift::{Descriptor, Features, Keypoint, MatchOptions};
+use scopeservo_registration::{Correspondences, Options, Prior, register_correspondences};
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -29,15 +29,22 @@ fn pair(matches: usize, share: f64, seed: u64) -> (Features, Features) {
         offset: [60.0, -120.0],
     });
     let empty = || Features {
-        width: 640,
-        height: 480,
-        keypoints: Vec::new(),
-        descriptors: Vec::new(),
+        descriptors: Descriptors::Bytes {
+            length: 128,
+            data: Vec::new(),
+        },
+        ..Features::none(Engine::default().name(), 640, 480)
+    };
+    let push = |features: &mut Features, keypoint, descriptor: &[u8; 128]| {
+        features.keypoints.push(keypoint);
+        if let Descriptors::Bytes { data, .. } = &mut features.descriptors {
+            data.extend(descriptor);
+        }
     };
     let (mut view, mut target) = (empty(), empty());
-    let descriptor = |rng: &mut SplitMix64| {
+    let descriptor = |rng: &mut SplitMix64| -> [u8; 128] {
         // 128 components of at most 22 keep within the length of a descriptor.
-        Descriptor::new(std::array::from_fn(|_| rng.below(23) as u8)).expect("short enough")
+        std::array::from_fn(|_| rng.below(23) as u8)
     };
     let anywhere = |rng: &mut SplitMix64| [rng.uniform() * 640.0, rng.uniform() * 480.0];
     for i in 0..FEATURES {
@@ -47,26 +54,21 @@ fn pair(matches: usize, share: f64, seed: u64) -> (Features, Features) {
             6.0 * rng.uniform(),
         );
         let seen = descriptor(&mut rng);
-        view.keypoints.push(keypoint(p, sigma, angle));
-        view.descriptors.push(seen);
-        if i as f64 >= share * matches as f64 {
+        push(&mut view, keypoint(p, sigma, angle), &seen);
+        let there = if i as f64 >= share * matches as f64 {
             let sigma = 2.0 * (1.2 * rng.uniform()).exp();
-            target
-                .keypoints
-                .push(keypoint(anywhere(&mut rng), sigma, 6.0 * rng.uniform()));
+            keypoint(anywhere(&mut rng), sigma, 6.0 * rng.uniform())
         } else {
             let noise = 0.15 * sigma;
             let q = truth.apply(p).map(|x| x + noise * rng.normal());
             let sigma = 1.1 * sigma * (1.0 + 0.08 * rng.normal());
-            target
-                .keypoints
-                .push(keypoint(q, sigma, angle + 0.4 + 0.06 * rng.normal()));
-        }
-        target.descriptors.push(if i < matches {
-            seen
-        } else {
-            descriptor(&mut rng)
-        });
+            keypoint(q, sigma, angle + 0.4 + 0.06 * rng.normal())
+        };
+        let looks = match i < matches {
+            true => seen,
+            false => descriptor(&mut rng),
+        };
+        push(&mut target, there, &looks);
     }
     (view, target)
 }
@@ -103,32 +105,28 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .num_threads(1)
         .build_global()?;
     let (prior, options) = (Prior::default(), Options::default());
+    let engine = Engine::default();
     println!(
         "matches share inliers | matching |  all | search samples | fit | verdict: places area nfa | covariance"
     );
     for matches in [200, 500, 1000, 2000] {
         for share in [0.1, 0.3, 0.6, 0.9, 0.95] {
             let (view, target) = pair(matches, share, 1);
-            let match_options = MatchOptions {
-                ratio: options.ratio,
-                mutual: true,
-            };
-            let (matching_us, (found, pairs)) =
-                best(|| correspondences(&view, &target, &prior, &match_options));
-            let (all_us, answer) =
-                best(|| register_matches(&view, &target, &prior, &options, &found, &pairs));
-
-            let oriented: Vec<[f64; 4]> = found
-                .iter()
-                .map(|m| (&view.keypoints[m.query], &target.keypoints[m.train]))
-                .map(|(v, t)| [v.sigma, t.sigma, v.angle, t.angle].map(f64::from))
-                .collect();
+            let of = || Correspondences::of(&*engine, &view, &target, &prior, &options);
+            let (matching_us, found) = best(of);
+            let found = found?;
+            let (all_us, answer) = best(|| register_correspondences(&found, &prior, &options));
+            let pairs = &found.pairs;
             let ransac = RansacOptions {
                 threshold: 1.1 * options.threshold_px,
                 ..RansacOptions::default()
             };
-            let (search_us, search) =
-                best(|| lo_ransac(&OrientedProblem::new(&pairs, &oriented, &|_| true), &ransac));
+            let (search_us, search) = best(|| {
+                lo_ransac(
+                    &OrientedProblem::new(pairs, &found.shapes, &|_| true),
+                    &ransac,
+                )
+            });
             let search = search.ok_or("nothing was found")?;
             let chosen: Vec<Correspondence> = search.inliers.iter().map(|&i| pairs[i]).collect();
             let (fit_us, _) = best(|| fit_affine_robust(&chosen));

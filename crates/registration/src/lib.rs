@@ -1,7 +1,7 @@
 //! Two images, or their features, to `target_from_view`: the affine transform that takes a pixel of the view to the
 //! pixel of the target showing the same thing, with its covariance and a verdict.
 //!
-//! 1. [`correspond`](correspondences): exact two-nearest matches, only between keypoints that the [`Prior`] allows.
+//! 1. [`Correspondences`]: two-nearest matches of any feature engine, only between keypoints that the [`Prior`] allows.
 //! 2. LO-RANSAC from single oriented matches (or from three, the paper's way), then a robust weighted fit.
 //! 3. [`significance`]: a match set is *found* when so many agreeing places would come up by chance less than once in
 //!    `1 / false_alarms` registrations, the transform is a possible one, and it is determined well enough.
@@ -14,22 +14,27 @@
         clippy::disallowed_macros
     )
 )]
+#![warn(clippy::too_many_lines)]
 
 mod contest;
-mod correspond;
+mod correspondences;
 pub mod likeness;
+mod options;
+mod outcome;
 mod period;
 mod pictures;
+mod prior;
 mod register;
 mod rival;
 mod search;
 pub mod significance;
 
 pub use contest::undecided;
-pub use correspond::{Prior, RotationPrior, ScalePrior, correspondences};
+pub use correspondences::{Correspondences, Shapes};
+pub use options::{Method, Options};
+pub use outcome::{Estimate, NotFound, Registration};
 pub use period::periods;
 pub use pictures::{Allow, PictureVerdict, register_pictures};
-pub use register::{
-    Estimate, Matched, Method, NotFound, Options, Registration, register, register_matches,
-};
+pub use prior::{Prior, RotationPrior, ScalePrior};
+pub use register::{register, register_correspondences};
 pub use rival::{Rival, find_rivals, shifted};

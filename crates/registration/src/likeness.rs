@@ -1,8 +1,8 @@
 //! How alike two pictures are under a transform, patch by patch: zero-mean normalised correlation, blind to gain and offset of each
 //! patch and so to shading.
 
+use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, Vec2};
-use scopeservo_sift::GrayImage;
 
 /// Blur before comparing, in pixels of the coarser picture: sampling between pixels then changes noise little.
 const BLUR_PX: f64 = 1.0;

@@ -4,8 +4,8 @@
 use crate::likeness::Plane;
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
+use scopeservo_features::GrayImage;
 use scopeservo_geometry::Vec2;
-use scopeservo_sift::GrayImage;
 use std::sync::Arc;
 
 /// A picture is like itself elsewhere when the autocorrelation there is at least this. Ordinary tissue reaches 0.44, lattices of 5 %

@@ -6,8 +6,8 @@ use crate::{
     Estimate, NotFound, Options, Prior, Registration, Rival, find_rivals, periods, register,
     shifted, undecided,
 };
+use scopeservo_features::{FeatureEngine, FeatureError, Features, GrayImage};
 use scopeservo_geometry::{Affine2, Mat2, Vec2};
-use scopeservo_sift::{Features, GrayImage, Sift, SiftError};
 
 /// What the asker vouches for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -61,19 +61,21 @@ const MOST: f64 = 0.75;
 const FEW: usize = 20;
 /// in more than this share of what has the most structure.
 const FEW_EXPLAIN: f64 = 0.5;
-/// Features of both pictures, their registration and the verdict. `target` is described once and may be asked about many views.
+
+/// Registers two pictures with the features of an engine, and judges. `target` is described once and may be asked about many views; of a
+/// mirror image at most `most` features are made.
 ///
 /// # Errors
-/// Those of the detector.
+/// Those of the engine.
 pub fn register_pictures(
-    sift: &mut Sift,
+    (engine, most): (&dyn FeatureEngine, usize),
     (view, view_features): (&GrayImage, &Features),
     (target, target_features): (&GrayImage, &Features),
     prior: &Prior,
     options: &Options,
     allow: Allow,
-) -> Result<(Registration, PictureVerdict), SiftError> {
-    let answer = register(view_features, target_features, prior, options);
+) -> Result<(Registration, PictureVerdict), FeatureError> {
+    let answer = register(engine, view_features, target_features, prior, options);
     let verdict = match answer.outcome.clone() {
         Ok(estimate) => judge(
             (view, view_features),
@@ -92,8 +94,8 @@ pub fn register_pictures(
         return Ok((answer, verdict));
     }
     let mirror = flipped(view)?;
-    let features = sift.detect_and_describe(&mirror);
-    let found = register(&features, target_features, prior, options);
+    let features = engine.features(&mirror, most)?;
+    let found = register(engine, &features, target_features, prior, options);
     let Ok(estimate) = found.outcome.clone() else {
         return Ok((answer, verdict));
     };
@@ -183,10 +185,10 @@ fn stays(estimate: &Estimate, view: &GrayImage, target: &GrayImage) -> bool {
 }
 
 /// Columns in the other order.
-fn flipped(image: &GrayImage) -> Result<GrayImage, SiftError> {
+fn flipped(image: &GrayImage) -> Result<GrayImage, FeatureError> {
     let rows = image.data().chunks_exact(image.width());
     let data = rows.flat_map(|row| row.iter().rev().copied()).collect();
-    GrayImage::new(image.width(), image.height(), data)
+    Ok(GrayImage::new(image.width(), image.height(), data)?)
 }
 
 /// Target from the picture as it came, from target from its mirror image.

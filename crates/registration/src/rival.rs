@@ -5,13 +5,14 @@
 //! one and lie elsewhere, in the target (it holds what is in view twice) and in the view (that holds the target twice). [`undecided`](crate::undecided) then
 //! lets the pixels speak.
 
-use crate::correspond::wrap;
+use crate::correspondences::point;
+use crate::prior::wrap;
 use crate::significance::{log10_nfa, unique_places};
 use crate::{Estimate, Options, Prior, Registration};
+use scopeservo_features::{Features, Keypoint};
 use scopeservo_geometry::{
     Affine2, Correspondence, OrientedProblem, RansacOptions, Vec2, fit_similarity_robust, lo_ransac,
 };
-use scopeservo_sift::{Features, Keypoint};
 use serde::{Deserialize, Serialize};
 
 /// Agreeing places of the view that are asked for others like theirs.
@@ -175,20 +176,11 @@ fn asked(
     apart.into_iter().step_by(every).collect()
 }
 
+/// What cannot be compared is nowhere alike.
 fn distance_sq(view: &Features, query: usize, target: &Features, train: usize) -> f32 {
-    let (a, b) = (
-        view.descriptors[query].components(),
-        target.descriptors[train].components(),
-    );
-    let sum: u32 = a
-        .iter()
-        .zip(b)
-        .map(|(&a, &b)| {
-            let d = i32::from(a) - i32::from(b);
-            (d * d) as u32
-        })
-        .sum();
-    sum as f32
+    let (of, others) = (&view.descriptors, &target.descriptors);
+    of.distance_sq(query, others, train)
+        .map_or(f32::INFINITY, |sq| sq as f32)
 }
 
 /// Up to which squared distance a descriptor looks like each of those asked.
@@ -201,10 +193,6 @@ fn alike_limits(view: &Features, target: &Features, asked: &[[usize; 2]]) -> Vec
     sorted.sort_by(f32::total_cmp);
     let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
     own.iter().map(|d| ALIKE * ALIKE * d.max(usual)).collect()
-}
-
-fn point(k: &Keypoint) -> Vec2 {
-    [f64::from(k.x), f64::from(k.y)]
 }
 
 /// The nearest features that look like `asked`, a keypoint of the other picture, and lie elsewhere than `here`.

@@ -1,20 +1,32 @@
 //! The registration on made-up features: what is found, what is not, and how often by chance.
 
+use scopeservo_features::{Descriptors, Engine, Features, Keypoint};
 use scopeservo_geometry::{Affine2, Similarity, SplitMix64};
 use scopeservo_registration::{
-    Method, NotFound, Options, Prior, RotationPrior, ScalePrior, register,
+    Method, NotFound, Options, Prior, Registration, RotationPrior, ScalePrior,
 };
-use scopeservo_sift::{Descriptor, Features, Keypoint};
 
 const SIZE: [usize; 2] = [640, 480];
 
 fn empty() -> Features {
     Features {
-        width: SIZE[0],
-        height: SIZE[1],
-        keypoints: Vec::new(),
-        descriptors: Vec::new(),
+        descriptors: Descriptors::Bytes {
+            length: 128,
+            data: Vec::new(),
+        },
+        ..Features::none(Engine::default().name(), SIZE[0], SIZE[1])
     }
+}
+
+fn push(features: &mut Features, keypoint: Keypoint, descriptor: &[u8; 128]) {
+    features.keypoints.push(keypoint);
+    if let Descriptors::Bytes { data, .. } = &mut features.descriptors {
+        data.extend(descriptor);
+    }
+}
+
+fn register(view: &Features, target: &Features, prior: &Prior, options: &Options) -> Registration {
+    scopeservo_registration::register(&*Engine::default(), view, target, prior, options)
 }
 
 fn keypoint(at: [f64; 2], sigma: f64, angle: f64) -> Keypoint {
@@ -47,21 +59,20 @@ fn pairs(good: usize, bad: usize, noise: f64, seed: u64, spot: f64) -> (Features
     let (mut view, mut target) = (empty(), empty());
     let truth = Affine2::from(TRUTH);
     for i in 0..good + bad {
-        let descriptor = Descriptor::new(std::array::from_fn(|_| rng.below(32) as u8)).unwrap();
+        let descriptor = std::array::from_fn(|_| rng.below(32) as u8);
         let anywhere = place(&mut rng);
         let p = [0, 1].map(|k| 200.0 + spot * (anywhere[k] - 200.0));
         let (sigma, angle) = (2.0 + 2.0 * rng.uniform(), 6.0 * rng.uniform());
-        view.keypoints.push(keypoint(p, sigma, angle));
-        target.keypoints.push(if i < good {
+        push(&mut view, keypoint(p, sigma, angle), &descriptor);
+        let there = if i < good {
             let q = truth.apply(p);
             let q = [q[0] + noise * rng.normal(), q[1] + noise * rng.normal()];
             keypoint(q, 1.4 * sigma, angle + 0.6)
         } else {
             let (s, a) = (2.0 + 4.0 * rng.uniform(), 6.0 * rng.uniform());
             keypoint(place(&mut rng), s, a)
-        });
-        view.descriptors.push(descriptor);
-        target.descriptors.push(descriptor);
+        };
+        push(&mut target, there, &descriptor);
     }
     (view, target)
 }

@@ -1,9 +1,9 @@
 //! What can stop a procedure.
 
 use crate::target::rival_in_words;
+use scopeservo_features::FeatureError;
 use scopeservo_registration::{NotFound, Rival};
 use scopeservo_scope::{ObjectiveId, ScopeError};
-use scopeservo_sift::SiftError;
 use thiserror::Error;
 
 /// The error of every procedure.
@@ -15,7 +15,7 @@ pub enum ServoError {
     Scope(#[from] ScopeError),
     /// A frame could not be turned into features.
     #[error("the frame could not be used: {0}")]
-    Features(#[from] SiftError),
+    Features(#[from] FeatureError),
     /// The sharpness has no peak within the sweep.
     #[error(
         "no focus found with {objective}: sharpness varies by a factor of {contrast:.2} over {from_um:.0} to {to_um:.0} um \

@@ -6,10 +6,10 @@ use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::proof::LEAST_PX;
 use crate::proof::SEEN_PX;
-use crate::vision::{centre_px, features, grab, gray, same_objective};
+use crate::vision::{centre_px, grab, gray, same_objective};
 use crate::{Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
-use scopeservo_registration::{NotFound, Prior, register};
+use scopeservo_registration::{NotFound, Prior};
 use scopeservo_scope::{Axis, ErrorKind, Instrument, Objective, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 
@@ -78,12 +78,11 @@ impl Identify {
             Ok((
                 PlanarPose::from(&at).x_m,
                 centre,
-                features(&gray(scope, &frame)?, &self.vision.view)?,
+                self.vision.of_view(&gray(scope, &frame)?)?,
             ))
         };
         let (a, centre, first) = see(1.0)?;
         let (b, _, second) = see(2.0)?;
-        let options = &self.vision.registration;
         let prior = same_objective(0.05);
         // What is fixed to the camera stays while any objective shows the specimen move; when all stays, that is told.
         let seen_px = step_m / weakest_m;
@@ -91,8 +90,8 @@ impl Identify {
             moved_px: (seen_px >= SEEN_PX).then_some(LEAST_PX),
             ..prior
         };
-        let moved = register(&second, &first, &moving, options).outcome;
-        let estimate = match moved.or_else(|_| register(&second, &first, &prior, options).outcome) {
+        let see = |prior: &Prior| self.vision.register(&second, &first, prior).outcome;
+        let estimate = match see(&moving).or_else(|_| see(&prior)) {
             Ok(estimate) => estimate,
             Err(why) => return Ok(Err(why)),
         };

@@ -7,8 +7,14 @@
 //! Data flow one way: camera -> features -> match and fit -> homography -> pose error -> control -> stage.
 
 #![warn(clippy::too_many_lines)]
-// One macro is in use: each thread keeps an engine (vision.rs).
-#![cfg_attr(not(test), warn(clippy::disallowed_methods, clippy::disallowed_types))]
+#![cfg_attr(
+    not(test),
+    warn(
+        clippy::disallowed_methods,
+        clippy::disallowed_types,
+        clippy::disallowed_macros
+    )
+)]
 
 mod bring;
 mod calibrate;
@@ -22,6 +28,7 @@ mod hand_eye;
 mod identify;
 mod kinematics;
 mod law;
+mod localize;
 mod pose;
 mod procedure;
 mod proof;
@@ -36,7 +43,6 @@ pub use bring::Bring;
 pub use calibrate::{Calibrate, CalibrateOptions};
 pub use calibration::{CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
 pub use code::{ErrorCode, ErrorKind, Remedy};
-pub use compact::{features_from_bytes, features_to_bytes};
 pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};
 pub use focus::{Focus, FocusOptions, FocusResult};
@@ -44,6 +50,7 @@ pub use hand_eye::{Observation, solve_hand_eye};
 pub use identify::{Identify, Identity};
 pub use kinematics::{Motion2, PlanarPose, motion_between, pose_after};
 pub use law::{ControlLaw, Proportional, Velocity, control_law, motion_of};
+pub use localize::{Expected, FeatureLocalizer, Localizer, Measurement};
 pub use pose::{PoseError, PoseEstimate, pose_error, pose_estimate};
 pub use procedure::{Procedure, Progress, run};
 pub use proof::FixedPlaces;
@@ -58,4 +65,4 @@ pub use servo::task::{ServoRun, ServoTask};
 pub use sharpness::sharpness;
 pub use target::{Picture, SaveOptions, SaveTarget, Taken, Target};
 pub use trial::{Drift, drift_seen, scale_seen};
-pub use vision::{Engine, VisionOptions};
+pub use vision::VisionOptions;

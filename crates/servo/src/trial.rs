@@ -5,11 +5,10 @@
 use crate::identify::{SHARE, directions, place};
 use crate::kinematics::PlanarPose;
 use crate::procedure::run;
-use crate::vision::{centre_px, features, gray, same_objective};
+use crate::vision::{centre_px, gray, same_objective};
 use crate::{Identify, Identity, NoSink, ServoError, VisionOptions};
-use scopeservo_registration::register;
+use scopeservo_features::Features;
 use scopeservo_scope::{Instrument, ObjectiveId};
-use scopeservo_sift::Features;
 use std::time::Duration;
 
 /// The first step, as a share of the one that measures the scale: were it a thousand times too long, it would not be twice as long as
@@ -48,12 +47,14 @@ pub fn scale_seen(
 }
 
 fn look(scope: &Instrument, vision: &VisionOptions) -> Result<Features, ServoError> {
-    features(&gray(scope, &scope.grab()?)?, &vision.view)
+    vision.of_view(&gray(scope, &scope.grab()?)?)
 }
 
 /// How far the middle of the picture went from one view to another, pixels, and its standard deviation; `None` when it is not found.
 fn shift_px(before: &Features, after: &Features, vision: &VisionOptions) -> Option<(f64, f64)> {
-    let found = register(after, before, &same_objective(0.05), &vision.registration).outcome;
+    let found = vision
+        .register(after, before, &same_objective(0.05))
+        .outcome;
     let estimate = found.ok()?;
     let centre = centre_px(before.width, before.height);
     let [x, y] = estimate.target_from_view.recentred(centre, centre).offset;

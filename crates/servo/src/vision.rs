@@ -2,22 +2,23 @@
 
 use crate::event::tell;
 use crate::{Event, FrameRole, ServoError, Sink};
-use scopeservo_registration::{Prior, RotationPrior, ScalePrior};
+use scopeservo_features::{Engine, FeatureError, Features, GrayImage};
+use scopeservo_registration::{Prior, Registration, RotationPrior, ScalePrior, register};
 use scopeservo_scope::{FlatField, Frame, Instrument, ObjectiveId};
-use scopeservo_sift::{Features, GrayImage, Sift, Simd};
 use serde::{Deserialize, Serialize};
-use std::cell::RefCell;
 use std::sync::Arc;
 
-/// Feature budgets and registration settings of a run.
+/// The engine, its budgets and the registration settings of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct VisionOptions {
-    /// Detector settings for views.
-    pub view: scopeservo_sift::Options,
-    /// Detector settings for the target: made once, so it keeps more features. At a lower magnification only its coarse
-    /// ones can be seen, and those are weak ones at 400x.
-    pub target: scopeservo_sift::Options,
+    /// Finds features and compares them.
+    pub engine: Engine,
+    /// Features of a view, at most.
+    pub view_features: usize,
+    /// Features of a target, at most: made once, so it keeps more. At a lower magnification only its coarse ones can be seen, and those
+    /// are weak ones at 400x.
+    pub target_features: usize,
     /// Registration settings.
     pub registration: scopeservo_registration::Options,
 }
@@ -25,35 +26,33 @@ pub struct VisionOptions {
 impl Default for VisionOptions {
     fn default() -> Self {
         Self {
-            view: scopeservo_sift::Options {
-                max_features: 3000,
-                ..Default::default()
-            },
-            target: scopeservo_sift::Options {
-                max_features: 8000,
-                ..Default::default()
-            },
+            engine: Engine::default(),
+            view_features: 3000,
+            target_features: 8000,
             registration: scopeservo_registration::Options::default(),
         }
     }
 }
 
-/// Which code made the features of a run.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Engine {
-    /// Name and version.
-    pub name: String,
-    /// CPU level of its kernels: scalar, avx2, avx512 or neon.
-    pub cpu_level: String,
-}
+impl VisionOptions {
+    /// Features of a view.
+    pub(crate) fn of_view(&self, image: &GrayImage) -> Result<Features, ServoError> {
+        Ok(self.engine.features(image, self.view_features)?)
+    }
 
-impl Engine {
-    /// The engine of this build on this processor.
-    pub fn current() -> Self {
-        Self {
-            name: format!("scopeservo-sift {}", env!("CARGO_PKG_VERSION")),
-            cpu_level: Simd::best().level().to_string(),
-        }
+    /// Features of a target.
+    pub(crate) fn of_target(&self, image: &GrayImage) -> Result<Features, ServoError> {
+        Ok(self.engine.features(image, self.target_features)?)
+    }
+
+    /// Registers one picture's features to another's.
+    pub(crate) fn register(
+        &self,
+        view: &Features,
+        target: &Features,
+        prior: &Prior,
+    ) -> Registration {
+        register(&*self.engine, view, target, prior, &self.registration)
     }
 }
 
@@ -75,11 +74,6 @@ pub(crate) fn grab(
     Ok(frame)
 }
 
-thread_local! {
-    /// The engine of the last frame: its planes, 15 MB for a frame of 640 x 480, serve the next one.
-    static ENGINE: RefCell<Option<Sift>> = const { RefCell::new(None) };
-}
-
 /// A frame's luminance, without what is known to lie on the camera.
 pub(crate) fn gray(scope: &Instrument, frame: &Frame) -> Result<GrayImage, ServoError> {
     gray_of(frame, scope.flat_field().as_deref())
@@ -94,21 +88,12 @@ pub(crate) fn gray_of(
     if let Some(flat_field) = flat_field {
         flat_field.correct(frame.width, frame.height, &mut luminance);
     }
-    Ok(GrayImage::new(frame.width, frame.height, luminance)?)
+    Ok(to_gray(frame, luminance)?)
 }
 
-/// Features of a picture.
-pub(crate) fn features(
-    image: &GrayImage,
-    options: &scopeservo_sift::Options,
-) -> Result<Features, ServoError> {
-    ENGINE.with_borrow_mut(|kept| {
-        let engine = match kept {
-            Some(engine) if engine.options() == options => engine,
-            _ => kept.insert(Sift::new(options.clone())?),
-        };
-        Ok(engine.detect_and_describe(image))
-    })
+/// A picture of a frame's size.
+pub(crate) fn to_gray(frame: &Frame, luminance: Vec<f32>) -> Result<GrayImage, FeatureError> {
+    Ok(GrayImage::new(frame.width, frame.height, luminance)?)
 }
 
 /// What is known of two views that one objective takes a small move apart: the same scale, and nearly the same angle.

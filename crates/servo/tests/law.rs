@@ -44,6 +44,7 @@ fn a_control_law_is_one_file() {
         vision: &vision,
         options: &options,
         law: Some(&NearThenAll),
+        localizer: None,
     };
     // A loop with its task is a procedure like any other.
     let end = run(&mut Servo::default().on(&task), &bench.scope, &mut sink).unwrap();

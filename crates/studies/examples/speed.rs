@@ -6,6 +6,7 @@
 #![expect(clippy::print_stdout, reason = "a study prints its answers")]
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use scopeservo_features::{FeatureEngine, FeatureError, SiftEngine};
 use scopeservo_geometry::{Affine2, Mat2};
 use scopeservo_registration::{Options as RegisterOptions, Prior, register};
 use scopeservo_sift::{Features, GrayImage, Keypoint, MatchOptions, Options, Sift, match_features};
@@ -157,20 +158,18 @@ impl Worker {
         let options = options(request);
         let target = self.described(text(request, "target")?, &options)?;
         let view = image(&mut self.images, text(request, "image")?)?;
-        let sift = engine(&mut self.engines, options)?;
+        let most = options.max_features;
+        let engine = SiftEngine::new(options);
+        let target = (&target).into();
         let pool = pool(&mut self.pools, request)?;
-        let mut features = Features::default();
         let (ms, answer) = repeat(request, || {
             pool.install(|| {
-                sift.detect_and_describe_into(view, &mut features);
-                register(
-                    &features,
-                    &target,
-                    &Prior::default(),
-                    &RegisterOptions::default(),
-                )
+                let (prior, settings) = (Prior::default(), RegisterOptions::default());
+                let features = engine.features(view, most)?;
+                Ok::<_, FeatureError>(register(&engine, &features, &target, &prior, &settings))
             })
         });
+        let answer = answer?;
         let affine = answer.found().map(|e| e.target_from_view);
         Ok(json!({ "ms": ms, "count": answer.inliers, "answer": affine }))
     }

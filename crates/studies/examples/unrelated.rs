@@ -8,6 +8,7 @@
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
 use rayon::prelude::*;
+use scopeservo_features::Engine;
 use scopeservo_geometry::SplitMix64;
 use scopeservo_registration::{Options, Prior, Registration, ScalePrior, register};
 use scopeservo_slide::Slide;
@@ -77,6 +78,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             chosen.push((kind, a, b));
         }
     }
+    let engine = Engine::default();
     let answers: Vec<Answer> = chosen
         .par_iter()
         .map(|&(kind, a, b)| {
@@ -93,8 +95,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 rotation: None,
                 ..Prior::default()
             };
-            let registered = [Prior::default(), known]
-                .map(|prior| register(&view.features, target, &prior, &Options::default()));
+            let registered = [Prior::default(), known].map(|prior| {
+                register(
+                    &*engine,
+                    &view.features,
+                    target,
+                    &prior,
+                    &Options::default(),
+                )
+            });
             Answer { kind, registered }
         })
         .collect();

@@ -6,8 +6,8 @@
 
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
+use scopeservo_features::{Engine, Features};
 use scopeservo_registration::{Options, Prior, register};
-use scopeservo_sift::{Features, detect_and_describe};
 use scopeservo_slide::Slide;
 use scopeservo_studies::warp::{Pair, SIZE, Source, random_pair};
 use scopeservo_studies::{quantile, specimens};
@@ -41,6 +41,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .landscape();
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         for (zoom, pitch) in [(1.0, 2.0), (2.0, 1.5), (4.0, 1.0)] {
+            let engine = Engine::default();
             let mut tallies = [Tally::default(), Tally::default()];
             for seed in 0..pairs {
                 // A place without texture says nothing of accuracy: draw again.
@@ -49,22 +50,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 }) else {
                     continue;
                 };
-                let [few, many] = [2000, 8000].map(|max_features| scopeservo_sift::Options {
-                    max_features,
-                    ..Default::default()
-                });
-                let view = detect_and_describe(&pair.view, &few)?;
+                let [few, many] = [2000, 8000];
+                let view = engine.features(&pair.view, few)?;
                 // As the program's `register` does it, and as the servo does.
                 tallies[0].add(
                     &pair,
                     &view,
-                    &detect_and_describe(&pair.target, &few)?,
+                    &engine.features(&pair.target, few)?,
                     &Prior::default(),
                 );
                 tallies[1].add(
                     &pair,
                     &view,
-                    &detect_and_describe(&pair.target, &many)?,
+                    &engine.features(&pair.target, many)?,
                     &pair.prior(),
                 );
             }
@@ -88,7 +86,13 @@ struct Tally {
 impl Tally {
     fn add(&mut self, pair: &Pair, view: &Features, target: &Features, prior: &Prior) {
         self.made += 1;
-        let answer = register(view, target, prior, &Options::default());
+        let answer = register(
+            &*Engine::default(),
+            view,
+            target,
+            prior,
+            &Options::default(),
+        );
         self.inliers.push(answer.inliers as f64);
         let Some(found) = answer.found() else { return };
         self.errors.push(pair.corner_error(&found.target_from_view));

@@ -1,8 +1,8 @@
 //! Windows of slides, with what is needed to know whether two of them overlap.
 
 use crate::warp::{SIZE, Source};
+use scopeservo_features::{Engine, FeatureError, Features, GrayImage};
 use scopeservo_geometry::{Affine2, Mat2, SplitMix64};
-use scopeservo_sift::{Features, GrayImage, Options, SiftError, detect_and_describe};
 
 /// One window of one slide.
 pub struct Crop {
@@ -22,14 +22,14 @@ impl Crop {
     /// A random window at `pitch` source pixels per pixel with independent noise; `None` when the slide is too small.
     ///
     /// # Errors
-    /// Those of the detector.
+    /// Those of the engine.
     pub fn draw(
         slide: usize,
         source: &Source,
         pitch: f64,
         max_features: usize,
         seed: u64,
-    ) -> Result<Option<Self>, SiftError> {
+    ) -> Result<Option<Self>, FeatureError> {
         let mut rng = SplitMix64::new(seed);
         let size = SIZE.map(|n| n as f64 * pitch);
         let room = [
@@ -45,16 +45,13 @@ impl Crop {
             offset: at.map(|v| v + (pitch - 1.0) / 2.0),
         };
         let image = source.render(&source_from_pixel, 0.008, rng.next_u64());
-        let options = Options {
-            max_features,
-            ..Options::default()
-        };
+        let engine = Engine::default();
         Ok(Some(Self {
             slide,
             place: [at[0], at[1], size[0], size[1]],
             pitch,
-            features: detect_and_describe(&image, &options)?,
-            mirrored: detect_and_describe(&mirror(&image)?, &options)?,
+            features: engine.features(&image, max_features)?,
+            mirrored: engine.features(&mirror(&image)?, max_features)?,
         }))
     }
 
@@ -69,7 +66,9 @@ impl Crop {
 }
 
 /// The picture seen from behind.
-fn mirror(image: &GrayImage) -> Result<GrayImage, SiftError> {
+fn mirror(image: &GrayImage) -> Result<GrayImage, FeatureError> {
     let w = image.width();
-    GrayImage::from_fn(w, image.height(), |x, y| image.get(w - 1 - x, y))
+    Ok(GrayImage::from_fn(w, image.height(), |x, y| {
+        image.get(w - 1 - x, y)
+    })?)
 }

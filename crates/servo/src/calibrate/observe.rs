@@ -6,11 +6,12 @@ use crate::event::tell;
 use crate::hand_eye::Observation;
 use crate::kinematics::PlanarPose;
 use crate::proof::LEAST_PX;
-use crate::vision::{centre_px, features, grab, gray, same_objective};
+use crate::vision::{centre_px, grab, gray, same_objective};
 use crate::{Event, FrameRole, ServoError, Sink};
-use scopeservo_registration::{Matched, Registration};
+use scopeservo_features::Features;
+use scopeservo_geometry::Correspondence;
+use scopeservo_registration::{Correspondences, Registration, register_correspondences};
 use scopeservo_scope::Instrument;
-use scopeservo_sift::{Features, Match};
 
 impl Calibrate {
     /// Registers a view to the reference, without what is fixed to the camera: what stays where it is, when the view `moved` for sure;
@@ -19,25 +20,23 @@ impl Calibrate {
         let reference = self.reference.as_ref().ok_or_else(no_reference)?;
         let options = &self.vision.registration;
         let prior = same_objective(1.5 * self.options.max_rotation_rad);
-        let matched = Matched::of(view, reference, &prior, options);
-        let way = |m: &Match| {
-            let (v, t) = (&view.keypoints[m.query], &reference.keypoints[m.train]);
-            f64::from(f32::hypot(v.x - t.x, v.y - t.y))
+        let all = match Correspondences::of(&*self.vision.engine, view, reference, &prior, options)
+        {
+            Ok(all) => all,
+            Err(reason) => return Ok(Registration::not_found(reason, 0)),
         };
-        let fixed: Vec<usize> = matched
-            .matches
+        let stays = |&[_, train]: &[usize; 2], c: &Correspondence| match moved {
+            true => f64::hypot(c.p_in_a[0] - c.p_in_b[0], c.p_in_a[1] - c.p_in_b[1]) <= LEAST_PX,
+            false => self.stayed.get(&train).is_some_and(|n| *n >= STAYED),
+        };
+        let fixed: Vec<usize> = all
+            .those(stays)
+            .indices
             .iter()
-            .filter(|m| match moved {
-                true => way(m) <= LEAST_PX,
-                false => self.stayed.get(&m.train).is_some_and(|n| *n >= STAYED),
-            })
-            .map(|m| m.train)
+            .map(|pair| pair[1])
             .collect();
-        if fixed.is_empty() {
-            return Ok(matched.registration);
-        }
-        let free = |m: &Match| !fixed.contains(&m.train);
-        let registration = matched.of_those((view, reference), &prior, options, |m, _| free(m));
+        let free = all.those(|[_, train], _| !fixed.contains(train));
+        let registration = register_correspondences(&free, &prior, options);
         if moved {
             for k in fixed {
                 *self.stayed.entry(k).or_default() += 1;
@@ -58,7 +57,7 @@ impl Calibrate {
         let present = scope.gate().position()?;
         let at = scope.move_to(&pose.request(&present))?;
         let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
-        let view = features(&gray(scope, &frame)?, &self.vision.view)?;
+        let view = self.vision.of_view(&gray(scope, &frame)?)?;
         let registration = self.register(&view, moved)?;
         let centre = centre_px(frame.width, frame.height);
         let observation = match &registration.outcome {

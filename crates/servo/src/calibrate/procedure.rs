@@ -6,11 +6,11 @@ use crate::hand_eye::Observation;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::proof::SEEN_PX;
-use crate::vision::{features, grab, gray};
+use crate::vision::{grab, gray};
 use crate::{Calibration, Event, FrameRole, ServoError, Sink, VisionOptions};
+use scopeservo_features::Features;
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Axis, Instrument, Objective, ScopeError};
-use scopeservo_sift::Features;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -22,7 +22,6 @@ pub struct Calibrate {
     pub(super) objective: Objective,
     pub(super) state: State,
     pub(super) reference_pose: Option<PlanarPose>,
-    #[serde(with = "crate::compact::features")]
     pub(super) reference: Option<Features>,
     /// In how many translations a feature of the reference stayed where it was.
     #[serde(default)]
@@ -185,7 +184,7 @@ impl Calibrate {
                     return Err(ScopeError::NoSuchAxis { axis }.into());
                 }
                 let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
-                self.reference = Some(features(&gray(scope, &frame)?, &self.vision.view)?);
+                self.reference = Some(self.vision.of_view(&gray(scope, &frame)?)?);
                 self.reference_pose = Some(PlanarPose::from(&at));
                 self.state = State::Translate {
                     index: 0,

@@ -3,11 +3,11 @@
 use super::fixed::{FixedPlaces, Parallax};
 use crate::event::tell;
 use crate::identify::{directions, place};
-use crate::vision::{features, grab, gray};
+use crate::vision::{grab, gray};
 use crate::{Event, FrameRole, PlanarPose, ServoError, Sink, VisionOptions};
+use scopeservo_features::{Features, GrayImage};
 use scopeservo_geometry::Vec2;
 use scopeservo_scope::{Axis, Frame, Instrument, ObjectiveId, ScopeError};
-use scopeservo_sift::{Features, GrayImage};
 
 /// So far the view must be seen to move, pixels: what stays and what moves is then told apart without doubt.
 pub(crate) const SEEN_PX: f64 = 12.0;
@@ -108,8 +108,8 @@ pub(crate) fn look(
     frame: &Frame,
 ) -> Result<(Option<Seen>, Option<f64>), ServoError> {
     let image = gray(scope, frame)?;
-    let second = features(&image, &vision.view)?;
-    let seen = Parallax::of(first, (&image, &second), &vision.registration);
+    let second = vision.of_view(&image)?;
+    let seen = Parallax::of(first, (&image, &second), vision);
     let seen_px = seen
         .as_ref()
         .map(|s| s.motion_px(image.width(), image.height()));

@@ -1,12 +1,14 @@
 //! What is fixed to the camera: dust on its window, a reticle, burnt-in text, its pattern of noise. It stays where it is on the sensor while
 //! the stage moves the specimen, and two frames between which the stage moved tell one from the other.
 
+use crate::VisionOptions;
 use crate::vision::same_objective;
+use scopeservo_features::{Features, GrayImage, Keypoint, Mask};
 use scopeservo_geometry::{Affine2, Vec2};
+use scopeservo_registration::Prior;
 use scopeservo_registration::likeness::{Likeness, Plane, likeness};
-use scopeservo_registration::{Options, Prior, register};
-use scopeservo_sift::{Features, GrayImage, Keypoint};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// What moves nearer than this cannot be told from what stays, pixels.
 pub(crate) const LEAST_PX: f64 = 3.0;
@@ -44,13 +46,13 @@ impl Parallax {
     pub(crate) fn of(
         (first, first_features): (&GrayImage, &Features),
         (second, second_features): (&GrayImage, &Features),
-        options: &Options,
+        vision: &VisionOptions,
     ) -> Option<Self> {
         let prior = Prior {
             moved_px: Some(LEAST_PX),
             ..same_objective(0.05)
         };
-        let seen = register(first_features, second_features, &prior, options);
+        let seen = vision.register(first_features, second_features, &prior);
         let second_from_first = seen.found()?.target_from_view;
         let parallax = Self {
             first: Plane::new(first, BLUR_PX),
@@ -102,6 +104,20 @@ impl Parallax {
         )
     }
 
+    /// What of the first frame, of this size, was seen to move, in cells: those whose middle moved, and those that hold a place that did.
+    pub(crate) fn moving(&self, features: &Features, moved: &[Keypoint]) -> Mask {
+        let (width, height) = (features.width, features.height);
+        let cell_of = |p: Vec2| p.map(|v| ((v + 0.5).max(0.0) as usize) / GRID_STEP);
+        let held: BTreeSet<[usize; 2]> = moved
+            .iter()
+            .map(|k| cell_of([k.x, k.y].map(f64::from)))
+            .collect();
+        Mask::of_cells(width, height, GRID_STEP, |p| {
+            let middle = p.map(|v| v.round() as usize);
+            held.contains(&cell_of(p)) || self.judge(middle, GRID_RADIUS) == Place::Moved
+        })
+    }
+
     /// All places that stayed, of a grid over the picture and of its features.
     pub(crate) fn fixed(&self, features: &Features) -> FixedPlaces {
         let mut places = Vec::new();
@@ -118,7 +134,7 @@ impl Parallax {
             .keypoints
             .iter()
             .filter(|k| self.of_keypoint(k) == Place::Stayed);
-        places.extend(stayed.map(place_of));
+        places.extend(stayed.map(|k| extent([k.x, k.y], k.sigma)));
         FixedPlaces {
             width: features.width,
             height: features.height,
@@ -137,8 +153,8 @@ pub struct FixedPlaces {
 }
 
 /// A keypoint's place: what lies so near to it is part of the same thing.
-fn place_of(k: &Keypoint) -> [f32; 3] {
-    [k.x, k.y, (2.0 * k.sigma).max(4.0)]
+fn extent([x, y]: [f32; 2], sigma: f32) -> [f32; 3] {
+    [x, y, (2.0 * sigma).max(4.0)]
 }
 
 impl FixedPlaces {
@@ -158,14 +174,15 @@ impl FixedPlaces {
         self.places.extend(other.places);
     }
 
-    /// Adds places of keypoints that turned out not to move with the specimen.
-    pub(crate) fn add_keypoints<'a>(
+    /// Adds keypoints of a picture that turned out not to move with the specimen: their places and sizes.
+    pub(crate) fn add_keypoints(
         &mut self,
-        features: &Features,
-        keypoints: impl Iterator<Item = &'a Keypoint>,
+        [width, height]: [usize; 2],
+        keypoints: impl Iterator<Item = (Vec2, f64)>,
     ) {
-        (self.width, self.height) = (features.width, features.height);
-        self.places.extend(keypoints.map(place_of));
+        (self.width, self.height) = (width, height);
+        let places = keypoints.map(|(p, sigma)| extent([p[0] as f32, p[1] as f32], sigma as f32));
+        self.places.extend(places);
     }
 
     /// Whether a place of the picture is one of them.

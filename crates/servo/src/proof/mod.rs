@@ -8,14 +8,14 @@ mod drift;
 mod fixed;
 mod pattern;
 
+use crate::Measurement;
 use crate::hand_eye::{explained_px, predicted_b};
 use crate::{Calibration, PlanarPose};
 use scopeservo_geometry::{Affine2, Correspondence, Vec2};
-use scopeservo_registration::{Estimate, Matched, Options, Prior, Registration};
+use scopeservo_registration::{Estimate, Options, Prior, Registration, register_correspondences};
 use scopeservo_scope::Kinematics;
-use scopeservo_sift::Features;
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 pub(crate) use aside::{Aside, SEEN_PX, Seen, step_aside};
 pub(crate) use drift::Drift;
@@ -181,14 +181,14 @@ impl Proof {
     /// What the agreeing places that moved say, without the others.
     pub(crate) fn judge(
         &mut self,
-        (view, target): (&Features, &Features),
-        matched: &Matched,
-        estimate: &Estimate,
+        measured: &Measurement,
         prior: &Prior,
         options: &Options,
         here: &Station<'_>,
     ) -> Proved {
-        let centre = crate::vision::centre_px(view.width, view.height);
+        let (estimate, all) = (&measured.estimate, &measured.correspondences);
+        let [width, height] = all.view_size;
+        let centre = crate::vision::centre_px(width, height);
         let needed = if here.still && !self.followed {
             FOLLOWED_FROM
         } else {
@@ -199,12 +199,12 @@ impl Proof {
             return Proved::Nothing;
         }
         let seen_at = self.places_seen();
-        let moved = |[query, train]: [usize; 2]| {
-            let (v, t) = (&view.keypoints[query], &target.keypoints[train]);
-            let before = seen_at.get(&key(t.x, t.y));
+        let moved = |c: &Correspondence| {
+            let ([vx, vy], [tx, ty]) = (c.p_in_a.map(|v| v as f32), c.p_in_b.map(|v| v as f32));
+            let before = seen_at.get(&key(tx, ty));
             before.is_some_and(|all| {
                 all.iter()
-                    .any(|p| f64::from(f32::hypot(v.x - p[0], v.y - p[1])) > LEAST_PX)
+                    .any(|p| f64::from(f32::hypot(vx - p[0], vy - p[1])) > LEAST_PX)
             })
         };
         // What agrees with the transform, twins of a place included, must have been seen elsewhere; the rest may say what it likes.
@@ -214,9 +214,8 @@ impl Proof {
             f64::hypot(q[0] - c.p_in_b[0], q[1] - c.p_in_b[1])
                 <= 2.0 * options.threshold_px * coarse_px
         };
-        let again = matched.of_those((view, target), prior, options, |m, c| {
-            !agrees(c) || moved([m.query, m.train])
-        });
+        let counting = all.those(|_, c| !agrees(c) || moved(c));
+        let again = register_correspondences(&counting, prior, options);
         let Some(found) = again.found() else {
             return Proved::Nothing;
         };
@@ -231,23 +230,22 @@ impl Proof {
             return Proved::Moved(Box::new(found.clone()));
         }
         // What bent the transform lies elsewhere by the places that moved: it is fixed to the camera.
-        let bends = |pair: &&[usize; 2]| {
-            let (v, t) = (&view.keypoints[pair[0]], &target.keypoints[pair[1]]);
-            let here = found.target_from_view.apply([v.x, v.y].map(f64::from));
-            !moved(**pair) && off(here, [t.x, t.y].map(f64::from)) > BENT_PX * coarse_px
+        let agreeing: BTreeSet<[usize; 2]> =
+            measured.registration.agreeing.iter().copied().collect();
+        let bends = |i: &usize| {
+            let c = &all.pairs[*i];
+            agreeing.contains(&all.indices[*i])
+                && !moved(c)
+                && off(found.target_from_view.apply(c.p_in_a), c.p_in_b) > BENT_PX * coarse_px
         };
-        let bent: Vec<usize> = matched
-            .registration
-            .agreeing
-            .iter()
-            .filter(bends)
-            .map(|p| p[0])
-            .collect();
+        let bent: Vec<usize> = (0..all.len()).filter(bends).collect();
         if bent.is_empty() {
             return Proved::Moved(Box::new(found.clone()));
         }
-        self.fixed
-            .add_keypoints(view, bent.iter().map(|&i| &view.keypoints[i]));
+        let keypoints = bent
+            .iter()
+            .map(|&i| (all.pairs[i].p_in_a, all.shapes[i][0]));
+        self.fixed.add_keypoints(all.view_size, keypoints);
         Proved::Bent
     }
 

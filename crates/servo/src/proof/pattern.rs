@@ -7,11 +7,11 @@
 use super::aside::{Seen, is_free, look};
 use crate::event::tell;
 use crate::identify::{directions, place};
-use crate::vision::{features, grab, gray};
+use crate::vision::{grab, gray, to_gray};
 use crate::{Event, FrameRole, PlanarPose, ServoError, Sink, VisionOptions};
+use scopeservo_features::{Features, GrayImage};
 use scopeservo_geometry::{Vec2, least_squares};
 use scopeservo_scope::{FlatField, Frame, Instrument, ObjectiveId};
-use scopeservo_sift::{Features, GrayImage};
 use std::sync::Arc;
 
 /// So far from the first frame, and from each other, the others are taken, pixels.
@@ -58,9 +58,7 @@ pub(crate) fn look_around(
         scope.move_to(&to.request(&scope.gate().position()?))?;
         frames.push(grab(scope, sink, FrameRole::Aside, objective)?);
     }
-    let raw = frames
-        .iter()
-        .map(|f| GrayImage::new(f.width, f.height, f.luminance()));
+    let raw = frames.iter().map(|f| to_gray(f, f.luminance()));
     let raw = raw.collect::<Result<Vec<_>, _>>()?;
     let Some(pattern) = fixed_pattern(&raw).filter(|p| p.shadows() > 0) else {
         return Ok(None);
@@ -68,7 +66,7 @@ pub(crate) fn look_around(
     let shadows = pattern.shadows();
     let before = scope.set_flat_field(Some(pattern.into()));
     let image = gray(scope, first)?;
-    let found = features(&image, &vision.target)?;
+    let found = vision.of_target(&image)?;
     let mut moved = Vec::new();
     for frame in &frames[1..] {
         moved.extend(look(scope, vision, (&image, &found), frame)?.0);

@@ -6,11 +6,13 @@ use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
-    Bring, Calibrate, CalibrateOptions, Calibration, Engine, Event, FocusOptions, Phase, Servo,
-    ServoEnd, ServoError, ServoOptions, ServoTask, Sink, Target, VisionOptions,
+    Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions,
+    Localizer, Phase, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink, Target,
+    VisionOptions,
 };
 use scopeservo_scope::{Instrument, ObjectiveId};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -96,6 +98,18 @@ impl Reposition {
         self.target.clone().ok_or_else(lacks)
     }
 
+    /// The target with all that looking for it takes.
+    fn prepared(&mut self) -> Result<Arc<Target>, ServoError> {
+        let target = self.target()?;
+        let vision = &self.options.vision;
+        let ready = match (FeatureLocalizer { vision }).prepare(&target)? {
+            Cow::Borrowed(_) => return Ok(target),
+            Cow::Owned(ready) => Arc::new(ready),
+        };
+        self.target = Some(ready.clone());
+        Ok(ready)
+    }
+
     /// K_t: the newest calibration of the target's objective, with the pixels of the camera that took it.
     fn target_calibration(&self, target: &Target) -> Option<Calibration> {
         let here = self.calibrations.get(&target.objective)?.clone();
@@ -159,7 +173,7 @@ impl Reposition {
         scope.objective(&target.objective)?;
         let so_far = self.so_far(scope, target);
         let first = Ladder.next(&so_far);
-        let engine = Engine::current();
+        let engine = self.options.vision.engine.info();
         let event = Event::Started {
             objectives: Ladder.outlook(&so_far),
             target_objective: target.objective.clone(),
@@ -187,7 +201,7 @@ impl Reposition {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Option<Outcome>, ServoError> {
-        let target = self.target()?;
+        let target = self.prepared()?;
         // After the last leg's calibration K_t is the newer of its two measurements.
         let target_calibration = self.target_calibration(&target);
         let (leg, work) = match &mut self.state {
@@ -232,6 +246,7 @@ impl Reposition {
                     vision: &self.options.vision,
                     options: &self.options.servo,
                     law: None,
+                    localizer: None,
                 };
                 let Progress::Done(end) = servo.step(&task, scope, sink)? else {
                     return Ok(None);

@@ -5,11 +5,12 @@ use super::convergence::Criteria;
 use super::sight::{Located, Sight};
 use crate::procedure::Progress;
 use crate::proof::{Aside, FOLLOWS, Parallax, Proved, Seen, Station, far_from_goal, step_aside};
-use crate::vision::{features, grab, gray};
-use crate::{FrameRole, PlanarPose, ServoEnd, ServoError, ServoTask, Sink};
+use crate::vision::{grab, gray};
+use crate::{Expected, FrameRole, PlanarPose, ServoEnd, ServoError, ServoTask, Sink};
 use scopeservo_registration::likeness::Pair;
-use scopeservo_registration::{Estimate, Prior, Rival, find_rivals, shifted, undecided};
+use scopeservo_registration::{Estimate, Prior, Rival, shifted, undecided};
 use scopeservo_scope::Instrument;
+use std::borrow::Cow;
 
 /// Where the target has no picture to ask, a rival that explains this share of the places is as good.
 const AS_GOOD: f64 = 0.8;
@@ -72,20 +73,16 @@ impl Servo {
     }
 
     fn rival(&self, task: &ServoTask<'_>, sight: &Sight<'_>, estimate: &Estimate) -> Option<Rival> {
-        let found = find_rivals(
-            sight.view.features(),
-            &sight.target,
-            &sight.matched.registration,
+        let expected = Expected {
             // Any angle that the first frame of a run would accept.
-            &Prior {
+            prior: Prior {
                 rotation: None,
                 ..sight.prior
             },
-            &task.vision.registration,
-            task.is_arrival(),
-        );
+            fixed: &self.proof.fixed,
+        };
         let mut rivals = shifted(estimate, &task.target.periods_px);
-        rivals.extend(found);
+        rivals.extend(task.rivals(&sight.measured, &expected));
         if rivals.is_empty() {
             return None;
         }
@@ -123,7 +120,7 @@ impl Servo {
         if !passes {
             self.proof.witness(
                 &estimate.target_from_view,
-                &sight.matched.registration,
+                &sight.measured.registration,
                 sight.centres(),
                 sight.station.pose,
             );
@@ -133,9 +130,7 @@ impl Servo {
             };
         }
         let proved = self.proof.judge(
-            (sight.view.features(), &sight.target),
-            &sight.matched,
-            estimate,
+            &sight.measured,
             &sight.prior,
             &task.vision.registration,
             &sight.station,
@@ -168,12 +163,16 @@ impl Servo {
         }
         self.convergence.confirm_anew();
         let objective = task.objective();
+        let seen_features = match &sight.measured.features {
+            Some(features) => Cow::Borrowed(features),
+            None => Cow::Owned(task.vision.of_view(&sight.view.image)?),
+        };
         let aside = step_aside(
             scope,
             sink,
             (objective, task.view_calibration.um_per_px()),
             task.vision,
-            (&sight.view.image, &sight.view.all),
+            (&sight.view.image, &seen_features),
             &sight.station.pose,
         )?;
         match aside {
@@ -236,9 +235,9 @@ impl Servo {
         let pose = PlanarPose::from(&scope.move_to(&on)?);
         let objective = task.objective();
         let image = gray(scope, &*grab(scope, sink, FrameRole::Aside, objective)?)?;
-        let features = features(&image, &task.vision.view)?;
+        let features = task.vision.of_view(&image)?;
         let (first, second) = ((&seen.image, &seen.features), (&image, &features));
-        let parallax = Parallax::of(first, second, &task.vision.registration);
+        let parallax = Parallax::of(first, second, task.vision);
         let there = Station { pose, ..aside };
         self.proof.followed = parallax
             .and_then(|parallax| way(&parallax))

@@ -42,12 +42,12 @@ impl Servo {
         let test = task.criteria(scope);
         self.convergence.rest(&test, scope)?;
         let present = scope.gate().position()?;
-        // Camera, features.
+        // Camera.
         let frame = grab(scope, sink, FrameRole::Servo, task.objective())?;
-        let view = View::of(&frame, scope, task, &self.proof.fixed)?;
-        // Match and fit, homography, pose error and its covariance: Eqs. (7), (19), (20).
+        let view = View::of(&frame, scope)?;
+        // Features, match and fit, homography, pose error and its covariance: Eqs. (7), (19), (20).
         let prior = self.expected.prior(task);
-        let sight = match Sight::of(&view, task, scope, prior, present, &self.proof.fixed) {
+        let sight = match Sight::of(&view, task, scope, prior, present, &self.proof.fixed)? {
             Ok(sight) => self.found(sight),
             Err(reason) => return Ok(self.lost(task, scope, sink, view.sequence, &reason)),
         };

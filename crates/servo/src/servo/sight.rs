@@ -1,54 +1,32 @@
-//! One frame of the loop, understood: features, the transform to the target, the pose error.
+//! One frame of the loop, understood: where it lies in the target, and the pose error.
 
 use super::convergence::Measured;
 use crate::hand_eye::pose_sigma;
 use crate::proof::{FixedPlaces, Station};
-use crate::vision::{centre_px, features, gray};
+use crate::vision::{centre_px, gray};
 use crate::{
-    Event, PlanarPose, PoseEstimate, ServoError, ServoTask, Velocity, motion_of, pose_after,
-    pose_estimate,
+    Event, Expected, Measurement, PlanarPose, PoseEstimate, ServoError, ServoTask, Velocity,
+    motion_of, pose_after, pose_estimate,
 };
-use scopeservo_registration::{Estimate, Matched, NotFound, Prior};
+use scopeservo_features::GrayImage;
+use scopeservo_geometry::Vec2;
+use scopeservo_registration::{Estimate, NotFound, Prior};
 use scopeservo_scope::{Frame, Instrument, StagePose};
-use scopeservo_sift::{Features, GrayImage};
-use std::borrow::Cow;
 
-/// A frame and its features.
+/// A frame as it is looked at.
 pub(crate) struct View {
     pub(crate) image: GrayImage,
-    /// All its features.
-    pub(crate) all: Features,
-    /// Those that are not known to be fixed to the camera, when some are.
-    free: Option<Features>,
     pub(crate) sequence: u64,
     time_s: f64,
 }
 
 impl View {
-    pub(crate) fn of(
-        frame: &Frame,
-        scope: &Instrument,
-        task: &ServoTask<'_>,
-        fixed: &FixedPlaces,
-    ) -> Result<Self, ServoError> {
-        let image = gray(scope, frame)?;
-        let all = features(&image, &task.vision.view)?;
-        let free = match fixed.without(&all) {
-            Cow::Borrowed(_) => None,
-            Cow::Owned(free) => Some(free),
-        };
+    pub(crate) fn of(frame: &Frame, scope: &Instrument) -> Result<Self, ServoError> {
         Ok(Self {
-            image,
-            all,
-            free,
+            image: gray(scope, frame)?,
             sequence: frame.sequence,
             time_s: frame.exposure_start.seconds(),
         })
-    }
-
-    /// The features that are not known to be fixed to the camera.
-    pub(crate) fn features(&self) -> &Features {
-        self.free.as_ref().unwrap_or(&self.all)
     }
 }
 
@@ -62,18 +40,17 @@ pub(crate) struct Located {
 /// A view that was found in the target.
 pub(crate) struct Sight<'a> {
     pub(crate) view: &'a View,
-    /// The target's features that are not known to be fixed to the camera.
-    pub(crate) target: Cow<'a, Features>,
-    pub(crate) matched: Matched,
+    pub(crate) measured: Measurement,
     pub(crate) prior: Prior,
     /// Where the stage says that the frame was taken.
     pub(crate) present: StagePose,
     pub(crate) station: Station<'a>,
     pub(crate) located: Located,
+    target_size: [usize; 2],
 }
 
 impl<'a> Sight<'a> {
-    /// Matches and fits the view to the target, and computes the pose error.
+    /// Locates the target in the view, and computes the pose error. The inner result has the reason when it is not found.
     pub(crate) fn of(
         view: &'a View,
         task: &ServoTask<'a>,
@@ -81,20 +58,30 @@ impl<'a> Sight<'a> {
         prior: Prior,
         present: StagePose,
         fixed: &FixedPlaces,
+    ) -> Result<Result<Self, NotFound>, ServoError> {
+        let expected = Expected { prior, fixed };
+        let located = task.locate(&view.image, &expected)?;
+        Ok(located
+            .and_then(|measured| Self::understood(view, task, scope, (measured, prior), present)))
+    }
+
+    fn understood(
+        view: &'a View,
+        task: &ServoTask<'a>,
+        scope: &Instrument,
+        (measured, prior): (Measurement, Prior),
+        present: StagePose,
     ) -> Result<Self, NotFound> {
-        let target = fixed.without(&task.target.features);
-        let options = &task.vision.registration;
-        let matched = Matched::of(view.features(), &target, &prior, options);
-        let estimate = matched.registration.outcome.clone()?;
-        let pose = pose_of(&estimate, view.features(), &target, task);
-        let pose = pose.ok_or(NotFound::NoAgreement {
-            matches: matched.registration.matches,
+        let estimate = measured.estimate.clone();
+        let target_size = [task.target.features.width, task.target.features.height];
+        let centres = centres(&measured, target_size);
+        let pose = pose_of(&estimate, centres, task).ok_or(NotFound::NoAgreement {
+            matches: measured.registration.matches,
         })?;
         let info = scope.gate().info();
         Ok(Self {
             view,
-            target,
-            matched,
+            measured,
             prior,
             present,
             station: Station {
@@ -105,12 +92,13 @@ impl<'a> Sight<'a> {
                 still: task.target.moved.is_none(),
             },
             located: Located { estimate, pose },
+            target_size,
         })
     }
 
     /// The pose error that another transform means.
     pub(crate) fn pose(&self, estimate: &Estimate, task: &ServoTask<'_>) -> Option<PoseEstimate> {
-        pose_of(estimate, self.view.features(), &self.target, task)
+        pose_of(estimate, self.centres(), task)
     }
 
     /// The same view with another transform to be believed.
@@ -123,8 +111,8 @@ impl<'a> Sight<'a> {
     }
 
     /// The middle of the view and of the target.
-    pub(crate) fn centres(&self) -> ([f64; 2], [f64; 2]) {
-        centres(self.view.features(), &self.target)
+    pub(crate) fn centres(&self) -> (Vec2, Vec2) {
+        centres(&self.measured, self.target_size)
     }
 
     /// What the convergence test takes of it.
@@ -135,7 +123,7 @@ impl<'a> Sight<'a> {
             error: located.pose.error,
             sigma_um: estimate.sigma_px * std::f64::consts::SQRT_2 * um_per_px,
             sigma_deg: estimate.sigma_angle_rad.to_degrees(),
-            inliers: self.matched.registration.inliers,
+            inliers: self.measured.registration.inliers,
             time_s: self.view.time_s,
         }
     }
@@ -155,7 +143,7 @@ impl<'a> Sight<'a> {
         velocity: Velocity,
         converged: bool,
     ) -> Event {
-        let registration = &self.matched.registration;
+        let registration = &self.measured.registration;
         Event::Iteration {
             objective: task.objective().clone(),
             iteration,
@@ -173,20 +161,17 @@ impl<'a> Sight<'a> {
     }
 }
 
-fn centres(view: &Features, target: &Features) -> ([f64; 2], [f64; 2]) {
-    (
-        centre_px(view.width, view.height),
-        centre_px(target.width, target.height),
-    )
+/// The middle of the view and of the target.
+fn centres(measured: &Measurement, target: [usize; 2]) -> (Vec2, Vec2) {
+    let [width, height] = measured.correspondences.view_size;
+    (centre_px(width, height), centre_px(target[0], target[1]))
 }
 
 fn pose_of(
     estimate: &Estimate,
-    view: &Features,
-    target: &Features,
+    (centre, target_centre): (Vec2, Vec2),
     task: &ServoTask<'_>,
 ) -> Option<PoseEstimate> {
-    let (centre, target_centre) = centres(view, target);
     let (view, target) = (task.view_calibration, task.target_calibration);
     pose_estimate(estimate, view, target, centre, target_centre)
 }

@@ -3,9 +3,11 @@
 use super::convergence::Criteria;
 use crate::procedure::{Procedure, Progress};
 use crate::{
-    Calibration, ControlLaw, PoseEstimate, Servo, ServoEnd, ServoError, ServoOptions, Sink, Target,
-    Velocity, VisionOptions,
+    Calibration, ControlLaw, Expected, FeatureLocalizer, Localizer, Measurement, PoseEstimate,
+    Servo, ServoEnd, ServoError, ServoOptions, Sink, Target, Velocity, VisionOptions,
 };
+use scopeservo_features::GrayImage;
+use scopeservo_registration::{NotFound, Rival};
 use scopeservo_scope::{Axis, Instrument, ObjectiveId};
 
 /// What a servo loop needs to know; none of it changes while it runs.
@@ -23,6 +25,8 @@ pub struct ServoTask<'a> {
     pub options: &'a ServoOptions,
     /// The control law; `None` for the one that the options name.
     pub law: Option<&'a dyn ControlLaw>,
+    /// What finds the target in frames; `None` for features, as the vision options say.
+    pub localizer: Option<&'a dyn Localizer>,
 }
 
 impl ServoTask<'_> {
@@ -34,6 +38,30 @@ impl ServoTask<'_> {
     /// The active objective.
     pub(crate) fn objective(&self) -> &ObjectiveId {
         &self.view_calibration.objective
+    }
+
+    /// Looks for the target in a view.
+    pub(crate) fn locate(
+        &self,
+        view: &GrayImage,
+        expected: &Expected<'_>,
+    ) -> Result<Result<Measurement, NotFound>, ServoError> {
+        self.with_localizer(|l| l.locate(self.target, view, expected))
+    }
+
+    /// Other transforms that explain a view nearly as well.
+    pub(crate) fn rivals(&self, measured: &Measurement, expected: &Expected<'_>) -> Vec<Rival> {
+        let moves = self.is_arrival();
+        self.with_localizer(|l| l.rivals(self.target, measured, expected, moves))
+    }
+
+    fn with_localizer<T>(&self, ask: impl FnOnce(&dyn Localizer) -> T) -> T {
+        match self.localizer {
+            Some(localizer) => ask(localizer),
+            None => ask(&FeatureLocalizer {
+                vision: self.vision,
+            }),
+        }
     }
 
     /// The convergence test on this instrument.

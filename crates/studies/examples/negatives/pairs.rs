@@ -3,9 +3,9 @@
 use crate::Outcome;
 use crate::run::{Bench, Record, code};
 use crate::scene::Scene;
+use scopeservo_features::{Engine, GrayImage};
 use scopeservo_registration::{Allow, Options, PictureVerdict, Prior, register_pictures};
 use scopeservo_scope::Frame;
-use scopeservo_sift::{GrayImage, Sift};
 use scopeservo_twin::Truth;
 
 /// Where the view's centre lies in the target, its sigma in px and the agreeing places; or why it is not told.
@@ -13,16 +13,13 @@ type Found = Result<([f64; 2], f64, usize), String>;
 
 /// One look, with the program's defaults.
 fn look(view: &Frame, target: &Frame) -> Outcome<Found> {
-    let mut sift = Sift::new(scopeservo_sift::Options {
-        max_features: 2000,
-        ..Default::default()
-    })?;
+    let (engine, most) = (Engine::default(), 2000);
     let gray = |frame: &Frame| GrayImage::new(frame.width, frame.height, frame.luminance());
     let (view_image, target_image) = (gray(view)?, gray(target)?);
-    let seen = sift.detect_and_describe(&view_image);
-    let wanted = sift.detect_and_describe(&target_image);
+    let seen = engine.features(&view_image, most)?;
+    let wanted = engine.features(&target_image, most)?;
     let (answer, verdict) = register_pictures(
-        &mut sift,
+        (&*engine, most),
         (&view_image, &seen),
         (&target_image, &wanted),
         &Prior::default(),

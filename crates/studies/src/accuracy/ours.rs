@@ -3,8 +3,9 @@
 use super::degrade::Condition;
 use super::rows::Row;
 use super::scenes::{PairId, Scene};
+use scopeservo_features::{Engine, Features};
 use scopeservo_registration::{NotFound, Options, Prior, register};
-use scopeservo_sift::{Features, GrayImage, Sift, SiftError};
+use scopeservo_sift::{GrayImage, Sift, SiftError};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::time::Instant;
@@ -173,7 +174,7 @@ impl Engines {
             })?),
         };
         let start = Instant::now();
-        let features = engine.detect_and_describe(image);
+        let features = Features::from(&engine.detect_and_describe(image));
         let ms = ms_since(start);
         Ok(slot.insert(Timed { features, ms }))
     }
@@ -192,6 +193,8 @@ fn ms_since(start: Instant) -> f64 {
 #[derive(Default)]
 pub struct Runner {
     engines: Engines,
+    /// Matches the features of all of them.
+    engine: Engine,
 }
 
 impl Runner {
@@ -244,7 +247,7 @@ impl Runner {
                     false => Prior::default(),
                 };
                 let start = Instant::now();
-                let answer = register(&view, &target, &prior, &Options::default());
+                let answer = register(&*self.engine, &view, &target, &prior, &Options::default());
                 let register_ms = ms_since(start);
                 let found = answer.found();
                 rows.push(Row {

@@ -1,7 +1,8 @@
-//! Matches between view and target, gated by what is known before looking.
+//! What is known of the transform before looking.
 
-use scopeservo_geometry::{Affine2, Correspondence};
-use scopeservo_sift::{Features, Gate, Keypoint, Match, MatchOptions, match_features_gated};
+use crate::correspondences::Shapes;
+use scopeservo_features::{Gate, Keypoint};
+use scopeservo_geometry::Affine2;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
@@ -57,7 +58,7 @@ impl Prior {
     }
 
     /// Whether a pair may show the specimen, and not what is fixed to the camera.
-    fn has_moved(&self, view: &Keypoint, target: &Keypoint) -> bool {
+    pub(crate) fn has_moved(&self, view: &Keypoint, target: &Keypoint) -> bool {
         self.moved_px
             .is_none_or(|least| f64::from(f32::hypot(view.x - target.x, view.y - target.y)) > least)
     }
@@ -91,14 +92,14 @@ impl Prior {
 }
 
 /// The test whether two keypoints turn as `transform` does, and scale as it does. Angles lie in (-pi, pi].
-pub(crate) fn coherence(transform: &Affine2) -> impl Fn(&Keypoint, &Keypoint) -> bool + use<> {
+pub(crate) fn coherence(transform: &Affine2) -> impl Fn(&Shapes) -> bool + use<> {
     // Nothing turns as a mirror does: nothing compares with NaN.
     let angle = transform.linear.rotation_angle().unwrap_or(f64::NAN);
     let scale = transform.linear.det().sqrt();
-    move |view, target| {
-        let turn = (f64::from(target.angle) - f64::from(view.angle) - angle).abs();
+    move |&[view_sigma, target_sigma, view_angle, target_angle]| {
+        let turn = (target_angle - view_angle - angle).abs();
         let turn = (turn - TAU).abs().min(turn).min((turn - 2.0 * TAU).abs());
-        let ratio = f64::from(target.sigma) / (f64::from(view.sigma) * scale);
+        let ratio = target_sigma / (view_sigma * scale);
         turn < KEYPOINT_ANGLE_SLACK_RAD
             && ratio < KEYPOINT_SCALE_SLACK
             && ratio > 1.0 / KEYPOINT_SCALE_SLACK
@@ -109,48 +110,6 @@ pub(crate) fn coherence(transform: &Affine2) -> impl Fn(&Keypoint, &Keypoint) ->
 pub(crate) fn wrap(angle: f64) -> f64 {
     let a = angle.rem_euclid(TAU);
     if a > PI { a - TAU } else { a }
-}
-
-/// How far a match lies from where it belongs, up to a common factor: with the scale of both keypoints (in target pixels), the
-/// weaker response and the squared distance of the descriptors.
-///
-/// The exponents are rounded from a fit to the distances of matches on known warps of slides (docs/sift-accuracy.md). That a large
-/// keypoint is placed less well is the smaller part of it; what is faint, or has changed its looks, is the larger.
-fn noise(scale: f64, response: f32, distance_sq: u32) -> f64 {
-    let response = f64::from(response).max(f64::MIN_POSITIVE);
-    (scale * f64::from(distance_sq + 1)).sqrt().sqrt() / response.cbrt().powi(2)
-}
-
-/// Matches view features to target features (exact brute force, ratio and mutual test) among admissible pairs.
-///
-/// The sigma of each correspondence is in target pixels, up to a common factor: it grows with the scale of the keypoints and the
-/// distance of their descriptors, and falls with the weaker response.
-pub fn correspondences(
-    view: &Features,
-    target: &Features,
-    prior: &Prior,
-    options: &MatchOptions,
-) -> (Vec<Match>, Vec<Correspondence>) {
-    let mut matches = match_features_gated(view, target, options, &prior.gate());
-    matches.retain(|m| prior.has_moved(&view.keypoints[m.query], &target.keypoints[m.train]));
-    let ratio = prior.scale.map(|s| s.ratio);
-    let pairs = matches
-        .iter()
-        .map(|m| {
-            let (v, t) = (&view.keypoints[m.query], &target.keypoints[m.train]);
-            let (sv, st) = (f64::from(v.sigma), f64::from(t.sigma));
-            Correspondence {
-                p_in_a: [f64::from(v.x), f64::from(v.y)],
-                p_in_b: [f64::from(t.x), f64::from(t.y)],
-                sigma: noise(
-                    (st * st + (sv * ratio.unwrap_or(st / sv)).powi(2)).sqrt(),
-                    v.response.min(t.response),
-                    m.distance_sq,
-                ),
-            }
-        })
-        .collect();
-    (matches, pairs)
 }
 
 #[cfg(test)]
@@ -227,22 +186,19 @@ mod tests {
             }))
         };
         for angle in [-3.1f64, -0.5, 0.0, 2.9] {
-            for view in [-3.1f32, 0.3, 3.1] {
-                let target = wrap(f64::from(view) + angle) as f32;
-                assert!(turned(angle)(&keypoint(2.0, view), &keypoint(4.5, target)));
-                let off = wrap(f64::from(view) + angle + 0.5) as f32;
-                assert!(!turned(angle)(&keypoint(2.0, view), &keypoint(4.5, off)));
-                assert!(!turned(angle)(&keypoint(2.0, view), &keypoint(2.0, target)));
+            for view in [-3.1f64, 0.3, 3.1] {
+                let target = wrap(view + angle);
+                assert!(turned(angle)(&[2.0, 4.5, view, target]));
+                let off = wrap(view + angle + 0.5);
+                assert!(!turned(angle)(&[2.0, 4.5, view, off]));
+                assert!(!turned(angle)(&[2.0, 2.0, view, target]));
             }
         }
         let mirror = Affine2 {
             linear: Mat2::diagonal(1.0, -1.0),
             offset: [0.0; 2],
         };
-        assert!(!coherence(&mirror)(
-            &keypoint(2.0, 0.0),
-            &keypoint(2.0, 0.0)
-        ));
+        assert!(!coherence(&mirror)(&[2.0, 2.0, 0.0, 0.0]));
     }
 
     #[test]

@@ -1,154 +1,18 @@
-//! A saved view, and the saving: only what is seen to move with the stage counts, and what repeats itself is refused.
+//! Saving a view: only what is seen to move with the stage counts, and what repeats itself is refused.
 
+use super::{MIN_MOVED_FEATURES, MIN_TARGET_FEATURES, Picture, Taken, Target};
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress};
-use crate::proof::Place;
-use crate::proof::look_around;
-use crate::proof::{Aside, Seen, step_aside};
-use crate::proof::{FOLLOWS, Station};
-use crate::vision::{centre_px, features, grab, gray, same_objective};
+use crate::proof::{Aside, FOLLOWS, Place, Seen, Station, look_around, step_aside};
+use crate::vision::{centre_px, grab, gray, same_objective};
 use crate::{Calibration, FrameRole, ServoError, Sink, VisionOptions};
-use base64::Engine as _;
+use scopeservo_features::{Features, GrayImage, Keypoint};
 use scopeservo_registration::likeness::Pair;
-use scopeservo_registration::{
-    Estimate, Prior, Rival, find_rivals, periods, register, shifted, undecided,
-};
-use scopeservo_scope::{
-    ErrorKind, FlatField, Frame, Instrument, Kinematics, ObjectiveId, StagePose,
-};
-use scopeservo_sift::{Features, GrayImage};
+use scopeservo_registration::{Estimate, Prior, find_rivals, periods, shifted, undecided};
+use scopeservo_scope::{ErrorKind, Frame, Instrument, ObjectiveId, StagePose};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-
-/// Fewer features than this and a target cannot be told from others.
-pub(crate) const MIN_TARGET_FEATURES: usize = 30;
-/// Of those that were seen to move with the stage so many are enough: none of them is noise or dust.
-const MIN_MOVED_FEATURES: usize = 15;
-
-/// A saved view: its features and what made it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Target {
-    /// The objective it was taken with.
-    pub objective: ObjectiveId,
-    /// Its features, made with the target settings; those that a step aside showed to move with the stage, when one was made.
-    pub features: Features,
-    /// Its luminance, to tell places that look alike from each other. Targets saved earlier lack it.
-    #[serde(default)]
-    pub picture: Option<Picture>,
-    /// Shifts under which it looks like itself, pixels; none of what is there only once.
-    #[serde(default)]
-    pub periods_px: Vec<[f64; 2]>,
-    /// How many of its features were seen to move with the stage; `None` when it was saved without moving, so that a run must
-    /// prove it.
-    #[serde(default)]
-    pub moved: Option<usize>,
-    /// How it was taken. Targets saved earlier lack it.
-    #[serde(skip)]
-    pub taken: Option<Arc<Taken>>,
-}
-
-/// The frame that a target was made of, and what is known of how it was taken.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Taken {
-    /// As the camera gave it, in full depth.
-    pub frame: Arc<Frame>,
-    /// What lay on the camera then.
-    pub flat_field: Option<Arc<FlatField>>,
-    /// Size of a pixel on the specimen, um: as calibrated, else as engraved.
-    pub um_per_px: f64,
-    /// The objective's calibration then.
-    pub calibration: Option<Calibration>,
-    /// Where the stage said it was.
-    pub stage: StagePose,
-    /// Which side the stage moves.
-    pub kinematics: Kinematics,
-}
-
-impl Taken {
-    /// The grey picture, without the shadows on the camera, as features are made of it.
-    ///
-    /// # Errors
-    /// [`ServoError::Features`] when it has no pixels.
-    pub fn gray(&self) -> Result<GrayImage, ServoError> {
-        crate::vision::gray_of(&self.frame, self.flat_field.as_deref())
-    }
-}
-
-impl Target {
-    /// Grabs the present view as a target without moving anything: nobody knows yet what of it belongs to the specimen.
-    ///
-    /// # Errors
-    /// Instrument and detector errors; [`ServoError::CannotGoOn`] when no objective is in the beam.
-    pub fn save(
-        scope: &Instrument,
-        options: &VisionOptions,
-        sink: &mut dyn Sink,
-    ) -> Result<Self, ServoError> {
-        Ok(Self::grab(scope, options, sink)?.0)
-    }
-
-    fn grab(
-        scope: &Instrument,
-        options: &VisionOptions,
-        sink: &mut dyn Sink,
-    ) -> Result<(Self, GrayImage, Arc<Frame>), ServoError> {
-        let objective = scope.gate().current_objective()?.ok_or_else(|| {
-            ServoError::CannotGoOn("no objective is in the beam; select one and try again".into())
-        })?;
-        let frame = grab(scope, sink, FrameRole::Target, &objective)?;
-        let image = gray(scope, &frame)?;
-        let target = Self {
-            objective,
-            features: features(&image, &options.target)?,
-            picture: Some(Picture::of(&image)),
-            periods_px: periods(&image),
-            moved: None,
-            taken: None,
-        };
-        Ok((target, image, frame))
-    }
-}
-
-/// A grey picture in 8 bits, from its darkest to its brightest place.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Picture {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// `width * height` bytes, row by row, in base64.
-    gray: String,
-}
-
-impl Picture {
-    /// Of a grey image.
-    pub fn of(image: &GrayImage) -> Self {
-        // Single hot and dead pixels must not set the range.
-        let mut sorted = image.data().to_vec();
-        let end = sorted.len() / 1000;
-        let low = *sorted.select_nth_unstable_by(end, f32::total_cmp).1;
-        let last = sorted.len() - 1 - end;
-        let high = *sorted.select_nth_unstable_by(last, f32::total_cmp).1;
-        let scale = 255.0 / (high - low).max(f32::MIN_POSITIVE);
-        let level = |v: &f32| ((v - low) * scale + 0.5).clamp(0.0, 255.0) as u8;
-        let bytes: Vec<u8> = image.data().iter().map(level).collect();
-        Self {
-            width: image.width(),
-            height: image.height(),
-            gray: base64::engine::general_purpose::STANDARD.encode(bytes),
-        }
-    }
-
-    /// The picture, 0 to 1; `None` when it was damaged.
-    pub fn image(&self) -> Option<GrayImage> {
-        let bytes = base64::engine::general_purpose::STANDARD
-            .decode(&self.gray)
-            .ok()?;
-        let data = bytes.into_iter().map(|v| f32::from(v) / 255.0).collect();
-        GrayImage::new(self.width, self.height, data).ok()
-    }
-}
 
 /// How a target is saved.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -214,6 +78,8 @@ impl SaveTarget {
                 needed: MIN_MOVED_FEATURES,
             });
         }
+        let moved: Vec<Keypoint> = moving.iter().map(|&i| free.keypoints[i]).collect();
+        target.mask = Some(seen.parallax.moving(free, &moved));
         target.moved = Some(moving.len());
         target.features = free.subset(&moving);
         Ok(target)
@@ -229,7 +95,10 @@ impl SaveTarget {
         counts: impl Fn([f64; 2]) -> bool,
     ) -> Result<(), ServoError> {
         let options = &self.options.vision.registration;
-        let answer = register(second_features, &target.features, prior, options);
+        let answer = self
+            .options
+            .vision
+            .register(second_features, &target.features, prior);
         let Some(found) = answer.found() else {
             // Of a lattice hardly a match passes the ratio test: its own periods tell.
             let still = Estimate::at_rest();
@@ -383,7 +252,7 @@ impl Procedure for SaveTarget {
         if self.options.still {
             let second = grab(scope, sink, FrameRole::Aside, &objective)?;
             let second = gray(scope, &second)?;
-            let seen = features(&second, &vision.view)?;
+            let seen = vision.of_view(&second)?;
             let prior = same_objective(0.05);
             self.refuse_repetition(&target, &image, (&second, &seen), &prior, |_| true)?;
             target.taken = Some(Arc::new(self.taken(scope, &objective, frame, stage)?));
@@ -411,45 +280,5 @@ impl Procedure for SaveTarget {
                 Ok(Progress::Done(self.judge(target, &image, &seen)?))
             }
         }
-    }
-}
-
-/// What a rival is, for people: the way from one place to the other that looks like it.
-pub(crate) fn rival_in_words(rival: &Rival, um_per_px: Option<f64>) -> String {
-    let [x, y] = rival.shift_px;
-    let turned = match rival.turn_rad.to_degrees() {
-        deg if deg.abs() >= 0.5 => format!(", turned by {deg:.0} deg"),
-        _ => String::new(),
-    };
-    match um_per_px {
-        Some(um) => format!(
-            "{:.1}, {:.1} um ({x:.0}, {y:.0} px{turned})",
-            x * um,
-            y * um
-        ),
-        None => format!("{x:.0}, {y:.0} px{turned}"),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_picture_comes_back_from_json_and_a_hot_pixel_does_not_set_its_range() {
-        let image = GrayImage::from_fn(50, 40, |x, y| match (x, y) {
-            (7, 7) => 90.0,
-            _ => 0.2 + 0.001 * (x + y) as f32,
-        })
-        .unwrap();
-        let picture = Picture::of(&image);
-        let json = serde_json::to_string(&picture).unwrap();
-        let back: Picture = serde_json::from_str(&json).unwrap();
-        assert_eq!(back, picture);
-        let shown = back.image().unwrap();
-        assert!(shown.get(40, 30) - shown.get(5, 5) > 0.5);
-        let damaged: Picture =
-            serde_json::from_str(&json.replace("\"width\":50", "\"width\":51")).unwrap();
-        assert_eq!(damaged.image(), None);
     }
 }
