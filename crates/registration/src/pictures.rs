@@ -1,13 +1,14 @@
 //! Two pictures and nothing else: no stage that could move, so what is fixed to the camera and what repeats itself must be told from the
 //! pictures alone.
 
+use crate::correspondences::centre;
 use crate::likeness::Pair;
 use crate::{
     Estimate, NotFound, Options, Prior, Registration, Rival, find_rivals, periods, register,
     shifted, undecided,
 };
 use scopeservo_features::{FeatureEngine, FeatureError, Features, GrayImage};
-use scopeservo_geometry::{Affine2, Mat2, Vec2};
+use scopeservo_geometry::{Affine2, Mat2};
 
 /// What the asker vouches for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -175,7 +176,7 @@ fn stays(estimate: &Estimate, view: &GrayImage, target: &GrayImage) -> bool {
         linear: Mat2::diagonal(x, y),
         offset: [0.5 * (x - 1.0), 0.5 * (y - 1.0)],
     };
-    let c: Vec2 = [view.width(), view.height()].map(|s| (s as f64 - 1.0) / 2.0);
+    let c = centre([view.width(), view.height()]);
     let (p, q) = (sensor.apply(c), transform.apply(c));
     let turn = transform.linear.rotation_angle().unwrap_or(f64::NAN);
     let scale = transform.linear.det().abs().sqrt() / (x * y).sqrt();

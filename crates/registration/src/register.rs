@@ -1,6 +1,6 @@
 //! Correspondences to a transform with a verdict.
 
-use crate::correspondences::{Correspondences, MIN_MATCHES};
+use crate::correspondences::{Correspondences, MIN_MATCHES, centre, corners};
 use crate::prior::coherence;
 use crate::search::{ANISOTROPY, Search, Shape};
 use crate::significance::{AFFINE_SAMPLE, SIMILARITY_SAMPLE, log10_nfa, unique_places};
@@ -198,8 +198,7 @@ fn answer(
 ) -> Registration {
     let fit = &best.fit;
     let log10_nfa = best.log10_nfa.is_finite().then_some(best.log10_nfa);
-    let [w, h] = all.view_size.map(|side| side as f64 - 1.0);
-    let corner_sigma_px = [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]]
+    let corner_sigma_px = corners(all.view_size)
         .into_iter()
         .map(|p| fit.sigma_at(p))
         .fold(0.0, f64::max);
@@ -216,7 +215,7 @@ fn answer(
         Ok(Estimate {
             target_from_view: fit.b_from_a,
             covariance: fit.covariance,
-            sigma_px: fit.sigma_at([w / 2.0, h / 2.0]),
+            sigma_px: fit.sigma_at(centre(all.view_size)),
             corner_sigma_px,
             sigma_angle_rad: sigma_angle_rad(fit),
         })

@@ -5,7 +5,7 @@
 //! one and lie elsewhere, in the target (it holds what is in view twice) and in the view (that holds the target twice). [`undecided`](crate::undecided) then
 //! lets the pixels speak.
 
-use crate::correspondences::point;
+use crate::correspondences::{centre, corners, point};
 use crate::prior::wrap;
 use crate::significance::{log10_nfa, unique_places};
 use crate::{Estimate, Options, Prior, Registration};
@@ -347,7 +347,7 @@ fn rate(
     if (inside as f64) < RIVAL_OVERLAP * asked.len() as f64 {
         return None;
     }
-    let centre = centre(view);
+    let centre = centre([view.width, view.height]);
     let (a, b) = (
         first.target_from_view.apply(centre),
         transform.apply(centre),
@@ -375,13 +375,9 @@ fn least_places(rival: &Rival, target: &Features, threshold: f64, options: &Opti
     by_chance.max((RIVAL_SHARE * rival.asked as f64).ceil() as usize)
 }
 
-fn centre(view: &Features) -> Vec2 {
-    [view.width, view.height].map(|s| (s as f64 - 1.0) / 2.0)
-}
-
 /// Whether two transforms take some corner of the view to different places.
 fn differs(view: &Features, first: &Estimate, other: &Affine2, threshold: f64) -> bool {
-    corners(view).into_iter().any(|p| {
+    corners([view.width, view.height]).into_iter().any(|p| {
         let (a, b) = (first.target_from_view.apply(p), other.apply(p));
         f64::hypot(a[0] - b[0], a[1] - b[1]) > 2.0 * threshold
     })
@@ -389,13 +385,8 @@ fn differs(view: &Features, first: &Estimate, other: &Affine2, threshold: f64) -
 
 /// Whether a transform leaves everything where it is on the sensor.
 fn stays(view: &Features, transform: &Affine2) -> bool {
-    let c = centre(view);
+    let c = centre([view.width, view.height]);
     let q = transform.apply(c);
     let turn = transform.linear.rotation_angle().unwrap_or(f64::NAN);
     f64::hypot(q[0] - c[0], q[1] - c[1]) < FIXED[0] && turn.abs() < FIXED[1]
-}
-
-fn corners(view: &Features) -> [Vec2; 4] {
-    let (w, h) = (view.width as f64 - 1.0, view.height as f64 - 1.0);
-    [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]]
 }

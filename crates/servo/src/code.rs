@@ -88,12 +88,12 @@ impl ServoError {
             | Self::PictureStays { .. }
             | Self::StageTooCoarse { .. }
             | Self::WrongObjective { .. } => ErrorCode::WrongObjective,
-            Self::PoorTarget { .. } => ErrorCode::PoorTarget,
+            Self::PoorTarget { .. } | Self::NothingToFollow => ErrorCode::PoorTarget,
             Self::NothingMoves { .. } => ErrorCode::NothingMoves,
             Self::Repeats { .. } => ErrorCode::Ambiguous,
             Self::MovesTooFar { .. } => ErrorCode::Refused,
             Self::StaysNear { .. } => ErrorCode::Fault,
-            Self::Features(_) | Self::NothingToFollow | Self::CannotGoOn(_) => ErrorCode::Internal,
+            Self::Features(_) | Self::CannotGoOn(_) => ErrorCode::Internal,
         }
     }
 

@@ -7,7 +7,7 @@ use crate::vision::{grab, gray};
 use crate::{Event, FrameRole, PlanarPose, ServoError, Sink, VisionOptions};
 use scopeservo_features::{Features, GrayImage};
 use scopeservo_geometry::Vec2;
-use scopeservo_scope::{Axis, Frame, Instrument, ObjectiveId, ScopeError};
+use scopeservo_scope::{Axis, Instrument, ObjectiveId, ScopeError};
 
 /// So far the view must be seen to move, pixels: what stays and what moves is then told apart without doubt.
 pub(crate) const SEEN_PX: f64 = 12.0;
@@ -82,7 +82,7 @@ pub(crate) fn step_aside(
         scope.move_to(&to.request(&scope.gate().position()?))?;
         gone_um = gone_um.max(step_m * 1e6);
         let frame = grab(scope, sink, FrameRole::Aside, objective)?;
-        let (seen, seen_px) = look(scope, vision, (first, first_features), &frame)?;
+        let (seen, seen_px) = look(vision, (first, first_features), gray(scope, &frame)?)?;
         let event = Event::SteppedAside {
             objective: objective.clone(),
             step_px,
@@ -100,14 +100,12 @@ pub(crate) fn step_aside(
     }
 }
 
-/// What a frame from elsewhere tells of the first one, when it is seen to be far enough away; and how far it is.
+/// What an image from elsewhere tells of the first one, when it is seen to be far enough away; and how far it is.
 pub(crate) fn look(
-    scope: &Instrument,
     vision: &VisionOptions,
     first: (&GrayImage, &Features),
-    frame: &Frame,
+    image: GrayImage,
 ) -> Result<(Option<Seen>, Option<f64>), ServoError> {
-    let image = gray(scope, frame)?;
     let second = vision.of_view(&image)?;
     let seen = Parallax::of(first, (&image, &second), vision);
     let seen_px = seen

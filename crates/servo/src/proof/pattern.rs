@@ -7,7 +7,7 @@
 use super::aside::{Seen, is_free, look};
 use crate::event::tell;
 use crate::identify::{directions, place};
-use crate::vision::{grab, gray, to_gray};
+use crate::vision::{grab, gray_of, to_gray};
 use crate::{Event, FrameRole, PlanarPose, ServoError, Sink, VisionOptions};
 use scopeservo_features::{Features, GrayImage};
 use scopeservo_geometry::{Vec2, least_squares};
@@ -64,17 +64,19 @@ pub(crate) fn look_around(
         return Ok(None);
     };
     let shadows = pattern.shadows();
-    let before = scope.set_flat_field(Some(pattern.into()));
-    let image = gray(scope, first)?;
+    // The instrument gets them once it is known that they are not the specimen's.
+    let candidate = Arc::new(pattern);
+    let image = gray_of(first, Some(&candidate))?;
     let found = vision.of_target(&image)?;
     let mut moved = Vec::new();
     for frame in &frames[1..] {
-        moved.extend(look(scope, vision, (&image, &found), frame)?.0);
+        let other = gray_of(frame, Some(&candidate))?;
+        moved.extend(look(vision, (&image, &found), other)?.0);
     }
     if moved.len() < SEEN_TO_MOVE {
-        scope.set_flat_field(before);
         return Ok(None);
     }
+    scope.set_flat_field(Some(candidate));
     tell(scope, sink, Event::ShadowsFound { shadows });
     Ok(Some(Cleaned {
         image,
