@@ -4,9 +4,14 @@
 //! stop: a move is sent, and where the steppers are is asked until they are at the goal.
 
 pub mod codec;
+mod connect;
 mod factory;
+mod homing;
+mod motion;
+mod nosepiece;
 mod settings;
 mod stage;
+mod talk;
 
 pub use factory::FACTORY;
 pub use settings::{GcodeAxis, GcodeNosepiece, GcodeSettings};

@@ -2,7 +2,7 @@
 
 use crate::gcode::codec;
 use crate::session::bad_setting;
-use crate::turret::{self, TurretPlace};
+use crate::turret::{self, Part, TurretPlace};
 use scopeservo_scope::{Axis, AxisInfo, Kinematics, Length, PositiveZ, ScopeError};
 use serde::Deserialize;
 use std::collections::HashSet;
@@ -130,6 +130,13 @@ impl Motor {
     /// The nearest number of steps to a place in the board's units.
     pub(crate) fn steps(&self, units: f64) -> i64 {
         (units * self.steps_per_unit).round() as i64
+    }
+    /// What it moves.
+    pub(crate) fn part(&self) -> Part {
+        match self.axis {
+            Some(_) => Part::Stage,
+            None => Part::Nosepiece,
+        }
     }
 }
 
