@@ -2,9 +2,15 @@
 //! axes. Lengths are millimetres and angles degrees on the wire.
 
 pub mod codec;
+mod connect;
 mod factory;
+mod homing;
+mod motion;
+mod nosepiece;
+mod parameters;
 mod settings;
 mod stage;
+mod talk;
 
 pub use factory::FACTORY;
 pub use settings::{Gcs2Nosepiece, Gcs2Settings, LinearAxis, RotaryAxis};

@@ -1,0 +1,134 @@
+//! Taking a controller over.
+
+use crate::gcs2::codec::{self, AxisName, Command};
+use crate::gcs2::settings::{AxisPlan, Gcs2Nosepiece, Gcs2Settings};
+use crate::gcs2::stage::{Doing, Gcs2Stage, Nosepiece};
+use crate::gcs2::talk::{ask, error_number, read, values};
+use crate::link::Transport;
+use crate::session::{Exchange, Session, StopBytes, bad_setting, device};
+use scopeservo_scope::{AxisInfo, ScopeError, StageInfo};
+use std::sync::Mutex;
+
+impl Gcs2Stage {
+    /// Takes a controller over: reads who it is, that it has the axes of the settings, and their travel. Nothing moves.
+    ///
+    /// # Errors
+    /// [`ScopeError::BadSetting`] for settings that make no sense or name an axis that the controller lacks;
+    /// [`ScopeError::Timeout`] or [`ScopeError::Device`] when it does not answer, or not as a GCS 2 controller.
+    pub fn connect(
+        transport: Box<dyn Transport>,
+        settings: &Gcs2Settings,
+    ) -> Result<Self, ScopeError> {
+        let plans = settings.plans()?;
+        let names: Vec<AxisName> = plans.iter().map(|p| p.name.clone()).collect();
+        let session = Session::new(
+            transport,
+            StopBytes {
+                bytes: &[codec::STOP_ALL],
+                answered: false,
+            },
+            codec::MAX_LINE_BYTES,
+            settings.reply_timeout(),
+        );
+        let mut ex = session.exchange()?;
+        let who = ask(&mut ex, &Command::Identify)?;
+        let name = read(&ex, codec::one_line("*IDN?", &who))?
+            .trim()
+            .to_string();
+        let lines = ask(&mut ex, &Command::Axes)?;
+        let there = read(&ex, codec::decode_axes(&lines))?;
+        let nosepiece = match &settings.nosepiece {
+            Some(nosepiece) => {
+                Some(AxisName::new(&nosepiece.name).map_err(|e| bad_setting(e.to_string()))?)
+            }
+            None => None,
+        };
+        check_there(names.iter().chain(&nosepiece), &there)?;
+        // What was wrong before is not about us.
+        error_number(&mut ex)?;
+        let axes = travels(&mut ex, &plans, &names)?;
+        let nosepiece = match (nosepiece, settings.nosepiece.clone()) {
+            (Some(name), Some(settings)) => Some(turning(&mut ex, name, settings)?),
+            _ => None,
+        };
+        drop(ex);
+        Ok(Self {
+            session,
+            nosepiece,
+            info: StageInfo {
+                name,
+                axes,
+                kinematics: settings.kinematics,
+                positive_z: settings.positive_z,
+            },
+            plans,
+            names,
+            coupled: settings.coupled,
+            stop_timeout: settings.stop_timeout(),
+            settle_timeout: settings.settle_timeout(),
+            doing: Mutex::new(Doing::Nothing),
+            homed: Mutex::new(false),
+        })
+    }
+}
+
+/// The controller has all axes of the settings.
+fn check_there<'a>(
+    mut asked: impl Iterator<Item = &'a AxisName>,
+    there: &[AxisName],
+) -> Result<(), ScopeError> {
+    let Some(missing) = asked.find(|n| !there.contains(n)) else {
+        return Ok(());
+    };
+    let there: Vec<_> = there.iter().map(AxisName::as_str).collect();
+    Err(bad_setting(format!(
+        "the controller has no axis {missing}; it has {}",
+        there.join(", ")
+    )))
+}
+
+/// The axes of the stage with the travel that the controller gives them.
+fn travels(
+    ex: &mut Exchange<'_>,
+    plans: &[AxisPlan],
+    names: &[AxisName],
+) -> Result<Vec<AxisInfo>, ScopeError> {
+    let low = values(ex, &Command::LowerEnds(names), names)?;
+    let high = values(ex, &Command::UpperEnds(names), names)?;
+    let mut axes = Vec::new();
+    for ((plan, low), high) in plans.iter().zip(low).zip(high) {
+        if low > high {
+            return Err(device(format!(
+                "axis {} has a travel from {low} to {high}",
+                plan.name
+            )));
+        }
+        axes.push(AxisInfo {
+            axis: plan.axis,
+            min: plan.si(low),
+            max: plan.si(high),
+            repeatability: plan.repeatability_si,
+            arrival_tolerance: Some(plan.tolerance_si),
+        });
+    }
+    Ok(axes)
+}
+
+/// A nosepiece whose places all lie within the travel of its axis.
+fn turning(
+    ex: &mut Exchange<'_>,
+    name: AxisName,
+    settings: Gcs2Nosepiece,
+) -> Result<Nosepiece, ScopeError> {
+    let names = [name.clone()];
+    let low = values(ex, &Command::LowerEnds(&names), &names)?;
+    let high = values(ex, &Command::UpperEnds(&names), &names)?;
+    let within = |deg: f64| (low[0]..=high[0]).contains(&deg);
+    match settings.objectives.iter().find(|o| !within(o.at_deg)) {
+        Some(outside) => Err(bad_setting(format!(
+            "{} stands at {} deg, and the axis {name} goes from {} to {} deg",
+            outside.id, outside.at_deg, low[0], high[0]
+        ))),
+        None => Ok(Nosepiece { name, settings }),
+    }
+}

@@ -1,0 +1,108 @@
+//! Talking with a controller: questions, the lines of their answers, and what its error numbers mean.
+
+use crate::gcs2::codec::{self, AxisName, CodecError, Command};
+use crate::session::{Exchange, device, refused};
+use scopeservo_scope::ScopeError;
+
+/// A controller that was told to stop reports this.
+pub(super) const STOPPED_BY_COMMAND: i32 = 10;
+
+/// So does one whose axes do not know where they are.
+const NOT_REFERENCED: i32 = 5;
+
+/// What it reports of a command that it could read and will not carry out: a place out of reach, a velocity, a pivot, a number out of
+/// range.
+const REFUSALS: [i32; 4] = [7, 8, 9, 17];
+
+pub(super) fn not_homed() -> ScopeError {
+    ScopeError::NotHomed { device: "stage" }
+}
+
+/// What an error number of the controller in answer to a command means for the caller: the command was refused, was stopped, or was
+/// none, which is a fault of ours.
+pub(super) fn refusal(number: i32) -> ScopeError {
+    match number {
+        STOPPED_BY_COMMAND => ScopeError::Interrupted { at: None },
+        NOT_REFERENCED => not_homed(),
+        number if REFUSALS.contains(&number) => refused(codec::error_in_words(number)),
+        other => device(codec::error_in_words(other)),
+    }
+}
+
+/// A decoded answer, or the end of the link.
+pub(super) fn read<T>(ex: &Exchange<'_>, decoded: Result<T, CodecError>) -> Result<T, ScopeError> {
+    decoded.map_err(|e| ex.nonsense(e))
+}
+
+/// Sends a question.
+fn put(ex: &mut Exchange<'_>, command: &Command<'_>) -> Result<(), ScopeError> {
+    let bytes = read(ex, command.encode())?;
+    ex.send(&bytes)
+}
+
+/// A question and the lines of its answer.
+pub(super) fn ask(ex: &mut Exchange<'_>, command: &Command<'_>) -> Result<Vec<String>, ScopeError> {
+    put(ex, command)?;
+    let deadline = ex.deadline();
+    let mut lines = Vec::new();
+    loop {
+        let raw = ex.line(deadline)?;
+        let (line, more) = codec::line_and_more(&raw);
+        lines.push(line.to_string());
+        if !more {
+            break;
+        }
+        if lines.len() >= codec::MAX_LINES {
+            return Err(ex.nonsense(format!(
+                "more than {} lines to {}",
+                codec::MAX_LINES,
+                command.name()
+            )));
+        }
+    }
+    complete(ex, command)?;
+    Ok(lines)
+}
+
+fn complete(ex: &Exchange<'_>, command: &Command<'_>) -> Result<(), ScopeError> {
+    if ex.has_more() {
+        return Err(ex.nonsense(format!("more came than the answer to {}", command.name())));
+    }
+    Ok(())
+}
+
+pub(super) fn ready(ex: &mut Exchange<'_>) -> Result<bool, ScopeError> {
+    put(ex, &Command::Ready)?;
+    let line = ex.line_bytes(ex.deadline())?;
+    complete(ex, &Command::Ready)?;
+    read(ex, codec::decode_ready(&line))
+}
+
+pub(super) fn moving(ex: &mut Exchange<'_>) -> Result<bool, ScopeError> {
+    let lines = ask(ex, &Command::MotionStatus)?;
+    read(ex, codec::decode_moving(&lines))
+}
+
+pub(super) fn error_number(ex: &mut Exchange<'_>) -> Result<i32, ScopeError> {
+    let lines = ask(ex, &Command::Error)?;
+    read(ex, codec::decode_error(&lines))
+}
+
+pub(super) fn values(
+    ex: &mut Exchange<'_>,
+    command: &Command<'_>,
+    names: &[AxisName],
+) -> Result<Vec<f64>, ScopeError> {
+    let lines = ask(ex, command)?;
+    read(ex, codec::decode_values(command.name(), names, &lines))
+}
+
+pub(super) fn all_set(
+    ex: &mut Exchange<'_>,
+    command: &Command<'_>,
+    names: &[AxisName],
+) -> Result<bool, ScopeError> {
+    let lines = ask(ex, command)?;
+    let flags = read(ex, codec::decode_flags(command.name(), names, &lines))?;
+    Ok(flags.into_iter().all(|set| set))
+}
