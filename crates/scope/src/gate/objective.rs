@@ -1,0 +1,68 @@
+//! The objective in the beam: what is reported, what pictures have shown, and which rules follow.
+
+use super::MotionGate;
+use crate::{Objective, ObjectiveId, ScopeError};
+
+impl MotionGate {
+    /// The objectives there are.
+    pub fn objectives(&self) -> &[Objective] {
+        self.nosepiece.objectives()
+    }
+
+    /// The data of one objective.
+    ///
+    /// # Errors
+    /// [`ScopeError::NoSuchObjective`].
+    pub fn objective(&self, id: &ObjectiveId) -> Result<&Objective, ScopeError> {
+        let all = self.objectives();
+        all.iter()
+            .find(|o| o.id == *id)
+            .ok_or_else(|| ScopeError::NoSuchObjective {
+                asked: id.clone(),
+                available: all
+                    .iter()
+                    .map(|o| o.id.0.as_str())
+                    .collect::<Vec<_>>()
+                    .join(", "),
+            })
+    }
+
+    /// The objective in the beam; `None` while turning or unknown, and after a picture has contradicted what is reported.
+    pub fn current_objective(&self) -> Result<Option<ObjectiveId>, ScopeError> {
+        let told = self.nosepiece.current()?;
+        Ok(told.filter(|_| !self.knowledge.is_contradicted()))
+    }
+
+    /// Whether the objective in the beam is only reported: no sensor tells, and no picture has borne it out.
+    pub fn objective_is_reported(&self) -> bool {
+        self.knowledge.is_reported()
+    }
+
+    /// A picture has shown that the objective in the beam is the one that [`MotionGate::current_objective`] tells.
+    pub fn confirm_objective(&self) {
+        self.knowledge.confirm();
+    }
+
+    /// A picture has shown that it is another. Returns whether changing to it once more may help.
+    pub fn contradict_objective(&self) -> bool {
+        self.knowledge.contradict()
+    }
+
+    /// Whether a rule depends on the objective.
+    fn narrows(&self) -> bool {
+        !self.rules.objective_limits.is_empty() || !self.rules.zones.is_empty()
+    }
+
+    /// Objectives that may be in the beam: all of them when nobody knows, or it is only reported.
+    pub(super) fn in_beam(&self) -> Result<Vec<ObjectiveId>, ScopeError> {
+        if !self.narrows() {
+            // Nobody asks.
+            return Ok(Vec::new());
+        }
+        let told = self.current_objective()?;
+        Ok(match told.filter(|_| !self.objective_is_reported()) {
+            Some(id) => vec![id],
+            None => self.objectives().iter().map(|o| o.id.clone()).collect(),
+        })
+    }
+}

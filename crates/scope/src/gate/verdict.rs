@@ -1,0 +1,96 @@
+//! Verdicts: whether the stage may go somewhere, and whether it arrived where it was sent.
+
+use super::{MotionGate, Way};
+use crate::judge::{Judge, at_most};
+use crate::{GateEvent, ObjectiveId, ScopeError, StagePose};
+
+impl MotionGate {
+    /// Whether the stage may go there from where it stands, with the objective that is in the beam: limits, workspace, zones. The way
+    /// there is judged when the move begins.
+    ///
+    /// # Errors
+    /// [`ScopeError::OutsideLimits`], [`ScopeError::OutsideWorkspace`], [`ScopeError::TooClose`], [`ScopeError::StandsOutside`],
+    /// [`ScopeError::NoSuchAxis`] or [`ScopeError::NotFinite`]; and those of [`MotionGate::position`].
+    pub fn check(&self, to: &StagePose) -> Result<(), ScopeError> {
+        self.info().check_axes(to)?;
+        let here = self.position()?;
+        self.judge(&self.in_beam()?).check_goal(&here, to)
+    }
+
+    /// Whether the stage may go to each of these places from where it stands, as [`MotionGate::check`] tells. The devices are asked
+    /// once.
+    ///
+    /// # Errors
+    /// What the devices report, and those of [`MotionGate::position`].
+    pub fn allowed(&self, places: &[StagePose]) -> Result<Vec<bool>, ScopeError> {
+        let here = self.position()?;
+        let in_beam = self.in_beam()?;
+        let may = |to: &StagePose| {
+            let goal = self.judge(&in_beam).check_goal(&here, to);
+            self.info().check_axes(to).and(goal).is_ok()
+        };
+        Ok(places.iter().map(may).collect())
+    }
+
+    /// Whether the last move that was begun ended where it was sent, and the whole stage stands where it may; after homing, whether the
+    /// stage knows where it is, and that is a place where it can be. To be asked when the stage has settled. Returns where it says it is. This is the one place that judges arrivals, of all drivers.
+    ///
+    /// # Errors
+    /// [`ScopeError::NotArrived`], [`ScopeError::Strayed`], [`ScopeError::Device`] for a reference that was not found, and those of
+    /// [`MotionGate::position`]; the stage was then told to stop.
+    pub fn arrived(&self) -> Result<StagePose, ScopeError> {
+        let answer = self.judge_arrival();
+        if answer.is_err() {
+            // Why is the news.
+            let _ = self.stop();
+        }
+        self.tell(|| match &answer {
+            Ok(at) => GateEvent::Arrived { at: *at },
+            Err(why) => GateEvent::NotArrived {
+                why: why.to_string(),
+            },
+        });
+        answer
+    }
+
+    fn judge_arrival(&self) -> Result<StagePose, ScopeError> {
+        let way = *self.way.lock().unwrap_or_else(|e| e.into_inner());
+        if matches!(way, Some(Way::Homing)) && !self.stage.is_homed()? {
+            return Err(ScopeError::Device {
+                device: "stage",
+                detail: "it was homed and still does not know where it is".into(),
+            });
+        }
+        let at = self.position()?;
+        let Some(Way::Between { from, to }) = way else {
+            // A reference may lie outside the user's limits: from there only moves back inside begin.
+            return Ok(at);
+        };
+        for info in &self.info().axes {
+            let axis = info.axis;
+            let (Some(goal), Some(there)) = (to.si(axis), at.si(axis)) else {
+                continue;
+            };
+            if !at_most((there - goal).abs(), info.tolerance()) {
+                return Err(ScopeError::NotArrived {
+                    axis,
+                    goal: axis.to_display(goal),
+                    at: axis.to_display(there),
+                });
+            }
+        }
+        match self.judge(&self.in_beam()?).strayed(&from, &at) {
+            Some(breach) => Err(ScopeError::Strayed { breach }),
+            None => Ok(at),
+        }
+    }
+
+    pub(super) fn judge<'a>(&'a self, in_beam: &'a [ObjectiveId]) -> Judge<'a> {
+        Judge {
+            info: self.info(),
+            rules: &self.rules,
+            ranges: &self.ranges,
+            in_beam,
+        }
+    }
+}
