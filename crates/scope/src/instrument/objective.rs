@@ -1,0 +1,93 @@
+//! The change of objective: retract, turn, come back.
+
+use super::Instrument;
+use crate::{Axis, ChangeRule, Motion, ObjectiveId, ScopeError, StagePose};
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+/// Nor an objective change, also by somebody who has to come from next door.
+const CHANGE_TIMEOUT: Duration = Duration::from_secs(1800);
+
+impl Instrument {
+    /// Brings an objective into the beam and waits for it. Does nothing when it is there already.
+    ///
+    /// Where the rules say so, the stage retracts first, and afterwards comes back to where the new objective is expected in focus:
+    /// as much higher or lower as it was found to be in focus before, or short of the old height by the rule's margin. A
+    /// stage that was retracted already stays so.
+    ///
+    /// # Errors
+    /// [`ScopeError::NoSuchObjective`], and as [`Instrument::move_to`]. When the way back is refused the stage stays retracted.
+    pub fn select_objective(&self, id: &ObjectiveId) -> Result<(), ScopeError> {
+        self.check_cancel()?;
+        self.gate.objective(id)?;
+        self.remember_beginning()?;
+        let before = self.gate.current_objective()?;
+        if before.as_ref() == Some(id) {
+            return Ok(());
+        }
+        let ChangeRule::Retracted { margin, .. } = self.gate.rules().change else {
+            return self.turn(id);
+        };
+        let to = |z: f64| StagePose::default().with_si(Axis::Z, z);
+        let side = self.gate.positive_z();
+        let work = self.gate.at_work()?;
+        if let Some(work) = work {
+            self.move_to(&to(work.retreat_m))?;
+        }
+        self.turn(id).map_err(|error| match (error, work) {
+            (ScopeError::ChangeEnded { asked, .. }, Some(work)) => ScopeError::ChangeEnded {
+                asked,
+                retracted_from_um: Some(work.here_m * 1e6),
+            },
+            (error, _) => error,
+        })?;
+        if let Some(work) = work {
+            let here = work.here_m;
+            let focus = self.focus_positions();
+            let known = before.and_then(|old| Some((focus.get(&old)?, focus.get(id)?)));
+            let expected = match known {
+                Some((old, new)) => here + (new.m() - old.m()),
+                None => side.away(here, margin),
+            };
+            // In steps that are allowed.
+            let longest = self.gate.rules().largest_steps.iter();
+            let longest = longest
+                .filter(|l| l.axis == Axis::Z)
+                .map(|l| l.step)
+                .fold(f64::INFINITY, f64::min);
+            let mut at = work.retreat_m;
+            while side.nearer_by(expected, at) > longest {
+                // A little less, so that rounding is no reason to refuse.
+                at = side.away(at, -0.999 * longest);
+                self.move_to(&to(at))?;
+            }
+            if side.nearer_by(expected, at) > 0.0 {
+                self.move_to(&to(expected))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn turn(&self, id: &ObjectiveId) -> Result<(), ScopeError> {
+        self.gate.start_change(id).map_err(|e| self.seen(e))?;
+        self.objective_changes.fetch_add(1, Ordering::SeqCst);
+        let settled = self.wait("nosepiece", CHANGE_TIMEOUT, || self.gate.poll_nosepiece())?;
+        if settled == Motion::Stopped {
+            return Err(ScopeError::ChangeEnded {
+                asked: id.clone(),
+                retracted_from_um: None,
+            });
+        }
+        let now = self.gate.current_objective()?;
+        if settled != Motion::Settled || now.as_ref() != Some(id) {
+            return Err(ScopeError::Device {
+                device: "nosepiece",
+                detail: format!(
+                    "asked for {id}, but {} is in the beam",
+                    now.map_or("nothing known".to_string(), |o| o.0)
+                ),
+            });
+        }
+        Ok(())
+    }
+}
