@@ -1,6 +1,5 @@
 //! Wishes to stop: one for the whole instrument, and one for each piece of work on it.
 
-use crate::{MotionGate, ScopeError};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -30,7 +29,7 @@ impl CancelToken {
         }))
     }
 
-    /// Asks for a stop. The running move is stopped and the procedure returns [`ScopeError::Interrupted`].
+    /// Asks for a stop. The running move is stopped and the procedure returns [`ScopeError::Interrupted`](crate::ScopeError::Interrupted).
     pub fn cancel(&self) {
         self.0.asked.store(true, Ordering::SeqCst);
     }
@@ -39,29 +38,6 @@ impl CancelToken {
     pub fn is_cancelled(&self) -> bool {
         let parent = || self.0.parent.as_ref().is_some_and(Self::is_cancelled);
         self.0.asked.load(Ordering::SeqCst) || parent()
-    }
-}
-
-/// A piece of work under way, whose token the instrument obeys until this is dropped.
-#[must_use]
-pub struct Obeying<'a>(&'a MotionGate);
-
-impl<'a> Obeying<'a> {
-    pub(crate) fn begin(gate: &'a MotionGate, cancel: &CancelToken) -> Result<Self, ScopeError> {
-        let mut job = gate.job_mut();
-        if job.is_some() {
-            return Err(ScopeError::Busy {
-                device: "instrument",
-            });
-        }
-        *job = Some(cancel.clone());
-        Ok(Self(gate))
-    }
-}
-
-impl Drop for Obeying<'_> {
-    fn drop(&mut self) {
-        *self.0.job_mut() = None;
     }
 }
 

@@ -324,3 +324,27 @@ impl ScopeError {
         }
     }
 }
+
+impl From<Breach> for ScopeError {
+    /// The refusal of a place that was asked for.
+    fn from(breach: Breach) -> Self {
+        match breach {
+            Breach::Limits { axis, at, min, max } => Self::OutsideLimits {
+                axis,
+                asked: at,
+                min,
+                max,
+            },
+            Breach::Workspace { share } => Self::OutsideWorkspace { share },
+            Breach::Zone {
+                zone,
+                z_um,
+                closest_um,
+            } => Self::TooClose {
+                zone,
+                z_um,
+                closest_um,
+            },
+        }
+    }
+}

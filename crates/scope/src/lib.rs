@@ -11,6 +11,7 @@
 //! - [`conformance`]: one suite that every implementation must pass.
 
 mod absent;
+mod breach;
 mod camera;
 mod cancel;
 mod clock;
@@ -24,26 +25,30 @@ mod judge;
 mod knowledge;
 mod light;
 mod nosepiece;
+mod objective_id;
 mod observe;
+mod pose;
 mod rules;
 mod stage;
 mod still;
 mod units;
 
 pub use absent::Absent;
+pub use breach::Breach;
 pub use camera::{Camera, CameraInfo, Channels, Frame, Samples};
-pub use cancel::{CancelToken, Obeying};
+pub use cancel::CancelToken;
 pub use clock::{Clock, SystemClock, Timestamp, VirtualClock};
 pub use devices::Devices;
 pub use error::{ErrorKind, Remedy, ScopeError};
 pub use flat_field::FlatField;
-pub use gate::{AtWork, MotionGate};
+pub use gate::{AtWork, MotionGate, Obeying};
 pub use instrument::{Counters, Instrument};
-pub use judge::Breach;
 pub use light::{Light, check_level};
-pub use nosepiece::{KnownBy, Nosepiece, Objective, ObjectiveId};
+pub use nosepiece::{KnownBy, Nosepiece, Objective};
+pub use objective_id::ObjectiveId;
 pub use observe::{GateEvent, Observer};
+pub use pose::{Axis, StagePose};
 pub use rules::{AxisRange, ChangeRule, LargestStep, Limits, Rules, Workspace, Zone};
-pub use stage::{Axis, AxisInfo, Kinematics, Motion, PositiveZ, Stage, StageInfo, StagePose};
+pub use stage::{AxisInfo, Kinematics, Motion, PositiveZ, Stage, StageInfo};
 pub use still::stand_still;
 pub use units::{Angle, Length};

@@ -1,19 +1,7 @@
 //! The nosepiece: which objectives there are and which one looks at the specimen.
 
-use crate::{Motion, ScopeError};
+use crate::{Motion, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
-use std::fmt;
-
-/// The name of an objective. Calibrations belong to it; its magnification is only a label.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct ObjectiveId(pub String);
-
-impl fmt::Display for ObjectiveId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
 
 /// What is engraved on an objective, and what the maker's data sheet says of the picture it gives here.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

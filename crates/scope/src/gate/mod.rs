@@ -1,10 +1,12 @@
 //! The motion gate: the one way to move a stage or turn a nosepiece. It refuses with a reason, and never clips.
 
 mod begin;
+mod obeying;
 mod objective;
 mod state;
 mod verdict;
 
+pub use obeying::Obeying;
 pub use state::AtWork;
 
 use crate::knowledge::Knowledge;
