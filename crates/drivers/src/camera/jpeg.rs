@@ -1,7 +1,7 @@
 //! Whether a JPEG is whole. Decoders draw what is missing as grey or shift what follows, and say nothing; a picture with a hole, as a
 //! lost packet leaves it, must not pass for a view. So the codes are walked through and its blocks counted, without decoding them.
 
-use crate::camera::picture::PictureError;
+use crate::camera::picture_error::PictureError;
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
 use std::borrow::Cow;

@@ -13,6 +13,7 @@ mod jpeg;
 mod mjpeg;
 pub mod multipart;
 pub mod picture;
+mod picture_error;
 pub mod raw;
 mod snapshot;
 mod stream;

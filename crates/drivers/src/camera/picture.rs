@@ -1,47 +1,16 @@
 //! Pictures as cameras send them, unpacked.
 
 use crate::camera::jpeg;
+pub use crate::camera::picture_error::PictureError;
 use image::{DynamicImage, ImageReader};
 use scopeservo_scope::{Channels, Samples};
 use std::borrow::Cow;
 use std::io::Cursor;
-use thiserror::Error;
 
 /// No picture has more columns or rows.
 const MAX_SIDE_PX: u32 = 16_384;
 /// Unpacking needs no more memory.
 const MAX_UNPACKED_BYTES: u64 = 512 << 20;
-
-/// Why a picture could not be unpacked.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[non_exhaustive]
-pub enum PictureError {
-    /// It breaks off.
-    #[error("the picture breaks off after {bytes} bytes")]
-    Cut {
-        /// How much of it there is.
-        bytes: usize,
-    },
-    /// A part in its middle is missing or damaged.
-    #[error("the picture has a hole: its data make no sense after {part} of {of} parts")]
-    Hole {
-        /// How many parts there are before it.
-        part: usize,
-        /// How many there should be.
-        of: usize,
-    },
-    /// It is of no kind that is known, or damaged.
-    #[error("the picture cannot be read: {0}")]
-    Unreadable(String),
-    /// It has more or fewer bytes than its size needs.
-    #[error("the picture has {bytes} bytes where {needed} are needed")]
-    Size {
-        /// How many there are.
-        bytes: usize,
-        /// How many are needed.
-        needed: usize,
-    },
-}
 
 /// An unpacked picture.
 #[derive(Debug, Clone, PartialEq)]

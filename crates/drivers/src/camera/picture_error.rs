@@ -1,0 +1,34 @@
+//! What can be wrong with a picture.
+
+use thiserror::Error;
+
+/// Why a picture could not be unpacked.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum PictureError {
+    /// It breaks off.
+    #[error("the picture breaks off after {bytes} bytes")]
+    Cut {
+        /// How much of it there is.
+        bytes: usize,
+    },
+    /// A part in its middle is missing or damaged.
+    #[error("the picture has a hole: its data make no sense after {part} of {of} parts")]
+    Hole {
+        /// How many parts there are before it.
+        part: usize,
+        /// How many there should be.
+        of: usize,
+    },
+    /// It is of no kind that is known, or damaged.
+    #[error("the picture cannot be read: {0}")]
+    Unreadable(String),
+    /// It has more or fewer bytes than its size needs.
+    #[error("the picture has {bytes} bytes where {needed} are needed")]
+    Size {
+        /// How many there are.
+        bytes: usize,
+        /// How many are needed.
+        needed: usize,
+    },
+}
