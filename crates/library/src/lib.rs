@@ -22,7 +22,8 @@ pub use folder::Folder;
 pub use journal::{Journal, JournalHead, JournalStep, Journalled};
 pub use names::utc;
 pub use runs::{RunHead, RunLog, Runs};
-pub use targets::{KeptTarget, Targets};
+pub use target_file::KeptTarget;
+pub use targets::Targets;
 
 /// Everything that is kept of an instrument.
 pub trait Library: Calibrations + Cameras + Targets + Runs + Journal + Send + Sync {}

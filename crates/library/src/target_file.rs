@@ -10,7 +10,7 @@
 //! | `SHA256SUMS` | the checksums of all others, as `sha256sum --check` reads them; its own is the target's id |
 
 use crate::folder::to_png;
-use crate::{KeptTarget, LibraryError, cameras};
+use crate::{LibraryError, cameras};
 use image::{DynamicImage, ExtendedColorType};
 use scopeservo_features::{Features, Mask};
 use scopeservo_scope::{
@@ -23,6 +23,21 @@ use std::collections::BTreeMap;
 use std::io::Read as _;
 use std::sync::Arc;
 use std::time::Duration;
+
+/// A target as it is kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KeptTarget {
+    /// The checksum of all that it is made of; empty for one that is not kept yet, and for one of an earlier version.
+    pub id: String,
+    /// When, UTC.
+    pub saved: String,
+    /// The instrument's name.
+    pub instrument: String,
+    /// Where the stage was.
+    pub stage: StagePose,
+    /// The target.
+    pub target: Target,
+}
 
 /// Version of the file.
 pub(crate) const TARGET_SCHEMA: u32 = 2;

@@ -4,7 +4,7 @@
 use crate::files::{self, make_folder, write_new};
 use crate::folder::{Folder, entries, is_json, read, to_png};
 use crate::names::{check_name, utc};
-use crate::{LibraryError, target_file};
+use crate::{KeptTarget, LibraryError, target_file};
 use image::ExtendedColorType;
 use scopeservo_scope::{Channels, Frame, Samples, StagePose, Timestamp};
 use scopeservo_servo::Target;
@@ -15,21 +15,6 @@ use std::time::{Duration, SystemTime};
 
 /// How a target's file ends.
 const ENDING: &str = "target";
-
-/// A target as it is kept.
-#[derive(Debug, Clone, PartialEq)]
-pub struct KeptTarget {
-    /// The checksum of all that it is made of; empty for one that is not kept yet, and for one of an earlier version.
-    pub id: String,
-    /// When, UTC.
-    pub saved: String,
-    /// The instrument's name.
-    pub instrument: String,
-    /// Where the stage was.
-    pub stage: StagePose,
-    /// The target.
-    pub target: Target,
-}
 
 /// Schema 1: JSON, the features and a grey picture in it.
 #[derive(Deserialize)]
