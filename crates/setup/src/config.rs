@@ -208,7 +208,7 @@ impl Config {
     /// # Errors
     /// As [`Config::read`].
     pub fn parse_with(text: &str, path: &Path, known: &[Factory]) -> Result<Self, SetupError> {
-        let mut config = tables::read(text, known).map_err(|error| {
+        let (mut config, found): (Self, _) = tables::read(text, known).map_err(|error| {
             let at = error.span.map_or(0, |s| s.start).min(text.len());
             let before = text.as_bytes()[..at].iter();
             let line = before.clone().filter(|&&b| b == b'\n').count() + 1;
@@ -220,6 +220,11 @@ impl Config {
                 what: with_guess(&error.message),
             }
         })?;
+        for (name, own) in found {
+            if let Some(driver) = config.drivers.get_mut(&name) {
+                driver.own = own;
+            }
+        }
         config.path = path.into();
         config.check(known)?;
         Ok(config)

@@ -1,8 +1,7 @@
 //! The text of a description: the tables of drivers are read by their factories, all else by its type. What is wrong keeps its place.
 
-use crate::config::Config;
 use scopeservo_drivers::factory::{Described, Factory, Table};
-use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use std::ops::Range;
 use std::sync::Arc;
 use toml::de::{DeTable, DeValue, Deserializer, Error, ValueDeserializer};
@@ -25,8 +24,14 @@ impl From<Error> for Unreadable {
 /// Keys of a driver that need no factory.
 const PLAIN: [&str; 4] = ["program", "tcp", "secret_file", "twin"];
 
-/// Reads a description whose drivers are of `known` kinds.
-pub(crate) fn read(text: &str, known: &[Factory]) -> Result<Config, Unreadable> {
+/// What factories have read, by the name of the driver.
+pub(crate) type Own = Vec<(String, Vec<Arc<dyn Described>>)>;
+
+/// Reads a description whose drivers are of `known` kinds: what is left to its type, and what the factories took.
+pub(crate) fn read<T: DeserializeOwned>(
+    text: &str,
+    known: &[Factory],
+) -> Result<(T, Own), Unreadable> {
     let mut root = DeTable::parse(text)?;
     let mut found = Vec::new();
     if let Some(drivers) = root.get_mut().get_mut("drivers")
@@ -39,13 +44,7 @@ pub(crate) fn read(text: &str, known: &[Factory]) -> Result<Config, Unreadable> 
             }
         }
     }
-    let mut config = Config::deserialize(Deserializer::from(root))?;
-    for (name, own) in found {
-        if let Some(driver) = config.drivers.get_mut(&name) {
-            driver.own = own;
-        }
-    }
-    Ok(config)
+    Ok((T::deserialize(Deserializer::from(root))?, found))
 }
 
 /// Takes what factories read out of a driver's table.
