@@ -1,12 +1,16 @@
 //! What the tags of TIFF pages say: which pages are levels, what a pixel is made of and how large it is.
 
+use std::fs::File;
+use std::io::BufReader;
 use std::path::Path;
 
+use tiff::decoder::Decoder;
 use tiff::tags::Tag;
 use tiff::{ColorType, TiffResult};
 
 use crate::SlideError;
-use crate::tiled::Reader;
+
+pub(crate) type Reader = Decoder<BufReader<File>>;
 
 /// Pixel sizes that a microscope can have, um. Others are print resolutions.
 const PLAUSIBLE_UM: std::ops::RangeInclusive<f64> = 0.05..=50.0;

@@ -10,10 +10,8 @@ use tiff::tags::{CompressionMethod, Tag};
 
 use crate::cache::Lru;
 use crate::raster::{luma, over_white_8, over_white_16, to_8, ycbcr_to_rgb};
-use crate::tags::{self, Layout};
+use crate::tags::{self, Layout, Reader};
 use crate::{Gray, Rgb8, SlideError, TILE_CACHE_BYTES};
-
-pub(crate) type Reader = Decoder<BufReader<File>>;
 
 /// Largest tile or strip, decoded, bytes: a whole gigapixel RGB image stored as one strip.
 const MAX_CHUNK_BYTES: usize = 3 << 30;
