@@ -53,6 +53,7 @@ mod error;
 mod features;
 mod gradient;
 mod image;
+mod level;
 mod matching;
 mod options;
 mod orient;
@@ -64,8 +65,9 @@ pub use engine::{Sift, detect_and_describe};
 pub use error::SiftError;
 pub use features::{Features, Keypoint};
 pub use image::GrayImage;
+pub use level::Level;
 pub use matching::{
     Gate, Match, MatchOptions, match_features, match_features_at, match_features_gated,
 };
 pub use options::Options;
-pub use simd::{Level, Simd};
+pub use simd::Simd;

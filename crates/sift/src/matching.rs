@@ -6,15 +6,18 @@
 //! `scalar` follows these words; `packed` does the same with vectors.
 
 mod dots;
+mod gate;
+mod nearest;
 mod packed;
 mod scalar;
 
-use std::f32::consts::{PI, TAU};
+pub use gate::Gate;
 
 use serde::{Deserialize, Serialize};
 
+use self::nearest::{Found, NOTHING, Nearest};
 use crate::simd::Token;
-use crate::{Features, Keypoint, Simd};
+use crate::{Features, Simd};
 
 /// A pair of features that are each other's likely image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,109 +50,6 @@ impl Default for MatchOptions {
             mutual: true,
         }
     }
-}
-
-/// Which pairs of keypoints may be the same thing at all: nearest, second nearest and mutual test see no other pair. The default
-/// admits every pair. Bounds are exclusive, and what is not a number is not admitted.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Gate {
-    /// Least and most `train.sigma / query.sigma`.
-    pub sigma_ratio: Option<(f32, f32)>,
-    /// Expected `train.angle - query.angle` and how far it may be off, both in radians; whole turns do not count.
-    pub turn_rad: Option<(f32, f32)>,
-    /// Bright features with bright ones only, dark with dark: right unless one image is the negative of the other.
-    pub same_polarity: bool,
-}
-
-impl Gate {
-    /// Whether it lets this pair through.
-    #[must_use]
-    pub fn admits(&self, query: &Keypoint, train: &Keypoint) -> bool {
-        self.window(query).admits(self.place(train))
-    }
-
-    /// Whether it has no bounds on sigma and angle.
-    fn is_unbounded(&self) -> bool {
-        self.sigma_ratio.is_none() && self.turn_rad.is_none()
-    }
-
-    /// The features that are compared among themselves, each as a test for its members.
-    fn groups(&self) -> &'static [fn(&Keypoint) -> bool] {
-        match self.same_polarity {
-            true => &[|k| k.bright, |k| !k.bright],
-            false => &[|_| true],
-        }
-    }
-
-    fn place(&self, train: &Keypoint) -> Place {
-        Place {
-            sigma: self.sigma_ratio.map_or(0.0, |_| train.sigma),
-            angle: self.turn_rad.map_or(0.0, |_| wrap(train.angle)),
-            bright: self.same_polarity && train.bright,
-        }
-    }
-
-    fn window(&self, query: &Keypoint) -> Window {
-        let (above, below) = self
-            .sigma_ratio
-            .map_or((f32::NEG_INFINITY, f32::INFINITY), |(least, most)| {
-                (least * query.sigma, most * query.sigma)
-            });
-        let (angle, off) = self.turn_rad.map_or((0.0, f32::INFINITY), |(turn, off)| {
-            (wrap(query.angle + turn), off)
-        });
-        Window {
-            above,
-            below,
-            angle,
-            off,
-            bright: self.same_polarity && query.bright,
-        }
-    }
-}
-
-/// What a gate looks at in a train keypoint; 0 or false where it does not look.
-#[derive(Debug, Clone, Copy)]
-struct Place {
-    sigma: f32,
-    /// In [-pi, pi].
-    angle: f32,
-    bright: bool,
-}
-
-/// The places that a query keypoint admits.
-#[derive(Debug, Clone, Copy)]
-struct Window {
-    /// Sigma lies above this
-    above: f32,
-    /// and below this,
-    below: f32,
-    /// and the angle, in [-pi, pi],
-    angle: f32,
-    /// is less than this off;
-    off: f32,
-    /// and it is as bright as this.
-    bright: bool,
-}
-
-impl Window {
-    #[inline(always)]
-    fn admits(&self, place: Place) -> bool {
-        let off = (place.angle - self.angle).abs();
-        place.sigma > self.above
-            && place.sigma < self.below
-            && off.min(TAU - off) < self.off
-            && place.bright == self.bright
-    }
-}
-
-/// An angle in [-pi, pi].
-fn wrap(angle: f32) -> f32 {
-    if (-PI..=PI).contains(&angle) {
-        return angle;
-    }
-    let a = angle.rem_euclid(TAU);
-    if a > PI { a - TAU } else { a }
 }
 
 /// Exact brute force: the two nearest train features of each query, then the ratio and mutual tests. Matches are in order of
@@ -200,47 +100,6 @@ pub fn match_features_at(
         .collect()
 }
 
-/// Index of what is not there.
-const NOTHING: usize = usize::MAX;
-
-/// Nearest and second nearest so far.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Nearest {
-    index: usize,
-    first_sq: u32,
-    second_sq: u32,
-}
-
-impl Nearest {
-    const NONE: Self = Self {
-        index: NOTHING,
-        first_sq: u32::MAX,
-        second_sq: u32::MAX,
-    };
-
-    /// Adds what was found further back in the list, so that a tie keeps the lowest index.
-    #[inline(always)]
-    fn see(&mut self, later: Self) {
-        if later.first_sq < self.first_sq {
-            self.second_sq = self.first_sq.min(later.second_sq);
-            (self.index, self.first_sq) = (later.index, later.first_sq);
-        } else {
-            self.second_sq = self.second_sq.min(later.first_sq);
-        }
-    }
-}
-
-/// Distance and index of nothing.
-const NEVER: (u32, usize) = (u32::MAX, NOTHING);
-
-/// For each query its nearest two train features, for each train feature its nearest query.
-#[derive(Debug, Clone, PartialEq)]
-struct Found {
-    forward: Vec<Nearest>,
-    /// Squared distance and index; the lesser pair is the one to keep.
-    backward: Vec<(u32, usize)>,
-}
-
 /// `chunk` bounds the features on a side that the kernels take at a time.
 fn search(simd: Simd, query: &Features, train: &Features, gate: &Gate, chunk: usize) -> Found {
     match simd.0 {
@@ -260,7 +119,7 @@ fn search(simd: Simd, query: &Features, train: &Features, gate: &Gate, chunk: us
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Descriptor;
+    use crate::{Descriptor, Keypoint};
 
     /// Small enough for an interpreter: this is the test that runs under Miri.
     fn features(mut seed: u32, n: usize) -> Features {

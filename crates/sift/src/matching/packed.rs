@@ -15,7 +15,8 @@ use fearless_simd::prelude::*;
 use rayon::prelude::*;
 
 use super::dots::{Dots, Lanes};
-use super::{Found, Gate, NEVER, NOTHING, Nearest, Place, Window};
+use super::gate::{Gate, Place, Window};
+use super::nearest::{Found, NEVER, NOTHING, Nearest};
 use crate::{Descriptor, Features, Keypoint};
 
 /// Bits of a key that hold the index.

@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{Found, Gate, NEVER, Nearest, Place};
+use super::gate::{Gate, Place};
+use super::nearest::{Found, NEVER, Nearest};
 use crate::{Descriptor, Features};
 
 /// Query features per parallel task.
