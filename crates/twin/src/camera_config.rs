@@ -1,7 +1,7 @@
 //! The camera, its faults, and what is fixed to it.
 
 use crate::TwinError;
-use crate::config::{fraction, not_negative, positive, require};
+use crate::numbers::{fraction, not_negative, positive, require};
 use scopeservo_scope::Channels;
 use serde::{Deserialize, Serialize};
 

@@ -2,6 +2,7 @@
 
 use crate::TwinError;
 use crate::camera_config::CameraConfig;
+use crate::numbers::{finite, fraction, not_negative, positive, require};
 use crate::stage_config::StageConfig;
 use scopeservo_scope::{Kinematics, ObjectiveId};
 use serde::{Deserialize, Serialize};
@@ -266,30 +267,6 @@ impl Default for SlideConfig {
             seat_um: 3.0,
         }
     }
-}
-
-pub(crate) fn require(holds: bool, what: &str) -> Result<(), TwinError> {
-    if holds {
-        Ok(())
-    } else {
-        Err(TwinError::BadConfig { what: what.into() })
-    }
-}
-
-pub(crate) fn finite(values: &[f64]) -> bool {
-    values.iter().all(|v| v.is_finite())
-}
-
-pub(crate) fn positive(values: &[f64]) -> bool {
-    finite(values) && values.iter().all(|&v| v > 0.0)
-}
-
-pub(crate) fn not_negative(values: &[f64]) -> bool {
-    finite(values) && values.iter().all(|&v| v >= 0.0)
-}
-
-pub(crate) fn fraction(value: f64) -> bool {
-    (0.0..=1.0).contains(&value)
 }
 
 #[cfg(test)]

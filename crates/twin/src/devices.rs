@@ -1,11 +1,11 @@
 //! The twin behind the instrument contract.
 
+use crate::inner::{Inner, State};
 use crate::optics::View;
 use crate::render::{Planes, Scene, blend, instants, render};
 use crate::sensor::Exposure;
 use crate::slide::Effects;
 use crate::specimen::Specimen;
-use crate::twin::{Inner, State};
 use scopeservo_scope::{
     Camera, CameraInfo, Frame, Light, Motion, Nosepiece, Objective, ObjectiveId, ScopeError, Stage,
     StageInfo, StagePose, Timestamp, check_level,

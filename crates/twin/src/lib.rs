@@ -19,13 +19,17 @@
 //!
 //! [`Clock`]: scopeservo_scope::Clock
 
+mod affine;
 mod blur;
 mod camera_config;
 mod config;
 mod devices;
+mod error;
 mod faults;
 mod font;
+mod inner;
 mod nosepiece;
+mod numbers;
 mod optics;
 mod render;
 mod seeds;
@@ -39,6 +43,7 @@ mod twin;
 
 pub use camera_config::{CameraConfig, DustConfig, Mark, PatternConfig};
 pub use config::{Config, MountConfig, NosepieceConfig, ObjectiveConfig, SlideConfig};
+pub use error::TwinError;
 pub use faults::StageFault;
 pub use slide::SpecimenEvent;
 pub use specimen::{
@@ -47,4 +52,4 @@ pub use specimen::{
 };
 pub use stage_config::{AxisConfig, StageConfig};
 pub use truth::{TrueCalibration, Truth};
-pub use twin::{Twin, TwinError};
+pub use twin::Twin;

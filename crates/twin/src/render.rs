@@ -1,8 +1,9 @@
 //! From the specimen to the light on the sensor: sampling, blur, blending over the exposure.
 
+use crate::affine::Affine;
 use crate::blur;
 use crate::config::ObjectiveConfig;
-use crate::optics::{Affine, HALO_WIDTH, View, channel_blur_um, depth_of_field_um, halo};
+use crate::optics::{HALO_WIDTH, View, channel_blur_um, depth_of_field_um, halo};
 use crate::slide::{Effects, covered, restained};
 use crate::specimen::{Patch, Specimen, SpecimenError};
 use rayon::prelude::*;

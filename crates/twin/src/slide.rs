@@ -1,7 +1,7 @@
 //! How the slide lies, and what happens to it.
 
+use crate::affine::Affine;
 use crate::config::SlideConfig;
-use crate::optics::Affine;
 use serde::{Deserialize, Serialize};
 
 /// Something that happens to the specimen.

@@ -1,7 +1,7 @@
 //! What the stage is: its axes, their travel and their failings.
 
 use crate::TwinError;
-use crate::config::{finite, not_negative, positive, require};
+use crate::numbers::{finite, not_negative, positive, require};
 use scopeservo_scope::{Axis, AxisInfo, Kinematics, PositiveZ, StageInfo};
 use serde::{Deserialize, Serialize};
 

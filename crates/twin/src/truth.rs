@@ -1,6 +1,7 @@
 //! What only the simulator knows.
 
-use crate::optics::{Affine, View, principal_point};
+use crate::affine::Affine;
+use crate::optics::{View, principal_point};
 use crate::stage_config::StageConfig;
 use scopeservo_scope::{ObjectiveId, StagePose};
 use serde::{Deserialize, Serialize};

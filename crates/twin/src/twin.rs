@@ -1,11 +1,13 @@
 //! The microscope as a whole: its state, its truth, and what may happen to it.
 
+use crate::TwinError;
 use crate::camera_config::DustConfig;
 use crate::config::Config;
 use crate::devices::{TwinCamera, TwinLight, TwinNosepiece, TwinStage};
 use crate::faults::StageFault;
-use crate::nosepiece::{NosepieceState, Offset, fixed_offsets};
-use crate::optics::{View, view, world_from_pixel};
+use crate::inner::{Inner, State};
+use crate::nosepiece::{NosepieceState, fixed_offsets};
+use crate::optics::world_from_pixel;
 use crate::seeds;
 use crate::sensor::Sensor;
 use crate::slide::{Slide, SpecimenEvent};
@@ -13,128 +15,18 @@ use crate::specimen::Specimen;
 use crate::stage::StageState;
 use crate::truth::{TrueCalibration, Truth};
 use rand::RngExt;
-use rand_pcg::Pcg64Mcg;
 use scopeservo_scope::{
     Axis, Camera, CameraInfo, ChangeRule, Clock, Devices, Light, Nosepiece, Objective, ObjectiveId,
-    Rules, ScopeError, Stage, StageInfo,
+    Rules, Stage,
 };
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
-use thiserror::Error;
-
-/// Why a simulated microscope cannot be built.
-#[derive(Debug, Clone, PartialEq, Error)]
-#[non_exhaustive]
-pub enum TwinError {
-    /// A setting makes no sense.
-    #[error("{what}")]
-    BadConfig {
-        /// The field and what it must be.
-        what: String,
-    },
-}
 
 /// A simulated microscope. Cheap to clone; all clones are the same microscope.
 #[derive(Clone)]
 pub struct Twin {
     inner: Arc<Inner>,
-}
-
-/// What never changes, and the state behind its lock.
-pub(crate) struct Inner {
-    pub(crate) config: Config,
-    pub(crate) clock: Arc<dyn Clock>,
-    pub(crate) stage_info: StageInfo,
-    pub(crate) camera_info: CameraInfo,
-    pub(crate) objectives: Vec<Objective>,
-    pub(crate) sensor: Sensor,
-    offsets: Vec<Offset>,
-    start_z: f64,
-    state: Mutex<State>,
-}
-
-/// What changes.
-pub(crate) struct State {
-    pub(crate) stage: StageState,
-    pub(crate) nosepiece: NosepieceState,
-    pub(crate) slide: Slide,
-    pub(crate) specimen: Arc<dyn Specimen>,
-    /// Light that passes the camera's window, per pixel.
-    pub(crate) window: Arc<Vec<f32>>,
-    pub(crate) exposure: Duration,
-    /// Level of the lamp, 0 to 1.
-    pub(crate) light: f64,
-    pub(crate) next_sequence: u64,
-    pub(crate) drop_frames: u32,
-    pub(crate) late_frames: u32,
-    pub(crate) late_by: Duration,
-    pub(crate) torn: bool,
-    /// Whether the plug is pulled.
-    pub(crate) unplugged: bool,
-    pub(crate) truths: BTreeMap<u64, Truth>,
-    slide_rng: Pcg64Mcg,
-}
-
-impl Inner {
-    pub(crate) fn state(&self) -> MutexGuard<'_, State> {
-        // A panic elsewhere leaves plain numbers behind, none of them half written.
-        self.state.lock().unwrap_or_else(|e| e.into_inner())
-    }
-
-    /// The state, for a device that is asked.
-    pub(crate) fn plugged(
-        &self,
-        device: &'static str,
-    ) -> Result<MutexGuard<'_, State>, ScopeError> {
-        let state = self.state();
-        match state.unplugged {
-            true => Err(ScopeError::Lost {
-                device,
-                detail: "its plug was pulled".into(),
-            }),
-            false => Ok(state),
-        }
-    }
-
-    pub(crate) fn now(&self) -> f64 {
-        self.clock.now().seconds()
-    }
-
-    /// What is seen at a moment, seconds.
-    pub(crate) fn view(&self, state: &State, t: f64) -> View {
-        let (objective, scatter, lit) = state.nosepiece.at(t);
-        view(
-            &self.config,
-            &state.slide,
-            &state.stage.truth(t),
-            self.start_z,
-            objective,
-            self.offset(objective, scatter),
-            lit,
-        )
-    }
-
-    fn offset(&self, objective: usize, scatter: Offset) -> Offset {
-        let fixed = self.offsets[objective];
-        Offset {
-            centre_um: [
-                fixed.centre_um[0] + scatter.centre_um[0],
-                fixed.centre_um[1] + scatter.centre_um[1],
-            ],
-            focus_um: fixed.focus_um + scatter.focus_um,
-        }
-    }
-
-    pub(crate) fn truth(&self, view: &View, sequence: Option<u64>) -> Truth {
-        Truth::new(
-            view,
-            sequence,
-            &self.config.optics[view.objective].id,
-            &self.config.stage,
-            [self.config.camera.width, self.config.camera.height],
-        )
-    }
 }
 
 impl Twin {

@@ -1,6 +1,7 @@
 //! From light to numbers: illumination, exposure, noise, dust, patterns, dead pixels, quantisation, what is written on top.
 
 mod dust;
+mod normal;
 mod overlay;
 mod pattern;
 
@@ -8,6 +9,7 @@ use crate::camera_config::{CameraConfig, DustConfig};
 use crate::config::ObjectiveConfig;
 use crate::render::Planes;
 use crate::seeds;
+use normal::normal_table;
 use pattern::Pattern;
 use rand::RngExt;
 use rayon::prelude::*;
@@ -172,26 +174,6 @@ impl Sensor {
             }
         }
     }
-}
-
-/// 4096 equally probable values of the standard normal distribution, in rising order: a random number of 12 bits picks
-/// one. Five times faster than drawing exactly, with tails cut at 3.5 standard deviations.
-fn normal_table() -> Vec<f32> {
-    const COUNT: usize = 4096;
-    const STEP: f64 = 1e-4;
-    let density = |x: f64| (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt();
-    let (mut x, mut below) = (-6.0, 0.0);
-    let mut table = Vec::with_capacity(COUNT);
-    while table.len() < COUNT {
-        below += STEP * density(x + 0.5 * STEP);
-        x += STEP;
-        // The share of the table filled so far, at the middle of the next entry.
-        while table.len() < COUNT && (below >= (table.len() as f64 + 0.5) / COUNT as f64 || x > 6.0)
-        {
-            table.push(x as f32);
-        }
-    }
-    table
 }
 
 fn full_scale(bit_depth: u8) -> u16 {

@@ -1,6 +1,6 @@
 //! What each pixel does to every picture.
 
-use super::normal_table;
+use super::normal::normal_table;
 use crate::camera_config::{CameraConfig, PatternConfig};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;

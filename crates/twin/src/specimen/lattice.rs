@@ -5,7 +5,7 @@ use super::pyramid::{Grid, Pyramid, Source};
 use super::shape::{Cell, Die, Shape, rng_of};
 use super::{Patch, Specimen, SpecimenError};
 use crate::TwinError;
-use crate::config::{finite, fraction, positive, require};
+use crate::numbers::{finite, fraction, positive, require};
 use crate::seeds;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;

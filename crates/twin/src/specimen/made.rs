@@ -2,7 +2,7 @@
 
 use super::{Blank, Lattice, LatticeConfig, Sparse, SparseConfig, Specimen, Tissue, Twice};
 use crate::TwinError;
-use crate::config::{finite, positive, require};
+use crate::numbers::{finite, positive, require};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 

@@ -7,6 +7,7 @@
 //! level L, so a coarse view is anti-aliased, and its samples are centred half a fine sample away from fine ones; a
 //! [`Patch`] carries its own origin for that reason.
 
+mod blank;
 mod canvas;
 mod file;
 mod lattice;
@@ -22,6 +23,7 @@ use std::path::PathBuf;
 
 use scopeservo_slide::SlideError;
 
+pub use blank::Blank;
 pub use file::FileSpecimen;
 pub use lattice::{CellKind, Lattice, LatticeConfig, LatticeKind};
 pub use made::{MadeSpecimen, TwiceConfig};
@@ -131,44 +133,6 @@ pub enum SpecimenError {
         /// Rows asked for.
         height: f64,
     },
-}
-
-/// Blank glass everywhere: what a camera sees when there is nothing to hold on to.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Blank;
-
-impl Specimen for Blank {
-    fn finest_um(&self) -> f64 {
-        0.25
-    }
-
-    fn levels(&self) -> usize {
-        6
-    }
-
-    fn patch(
-        &self,
-        level: usize,
-        x_um: [f64; 2],
-        y_um: [f64; 2],
-        margin: usize,
-    ) -> Result<Patch, SpecimenError> {
-        let grid = pyramid::Grid {
-            finest_um: self.finest_um(),
-            levels: self.levels(),
-            corner_um: [0.0, 0.0],
-        };
-        let window = grid.window(level, x_um, y_um, margin)?;
-        Ok(grid.patch(&window, GLASS.repeat(window.width * window.height)))
-    }
-
-    fn extent_um(&self) -> Option<[f64; 4]> {
-        None
-    }
-
-    fn describe(&self) -> String {
-        "blank glass".into()
-    }
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use super::pyramid::{Grid, Pyramid, Source};
 use super::shape::{Cell, Shape, rng_of};
 use super::{Patch, Specimen, SpecimenError};
 use crate::TwinError;
-use crate::config::{fraction, not_negative, positive, require};
+use crate::numbers::{fraction, not_negative, positive, require};
 use crate::seeds;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
