@@ -14,6 +14,8 @@
 //! - After a time-out, an interruption or an answer that cannot be read, nobody knows which reply belongs to which
 //!   question. The driver then sends the stop command, closes the link, and every later call says so.
 
+#![warn(clippy::too_many_lines)]
+
 pub mod camera;
 pub mod emulator;
 pub mod factory;

@@ -4,6 +4,7 @@
 //! Transforms are named `b_from_a` and map points of frame a to frame b. Everything here is a pure function; a seed is
 //! an argument. This crate knows neither images nor microscopes.
 
+#![warn(clippy::too_many_lines)]
 #![cfg_attr(
     not(test),
     warn(

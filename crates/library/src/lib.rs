@@ -4,6 +4,8 @@
 //! newest shadows of a camera and the journal. A file is there whole or not at all ([`files`]), and what is damaged is told, and does not
 //! keep the rest away.
 
+#![warn(clippy::too_many_lines)]
+
 mod calibrations;
 mod cameras;
 mod error;

@@ -6,6 +6,8 @@
 //! - [`serve`] speaks for devices of ours on any pair of streams, [`listen`] on a TCP port.
 //! - [`wire`] is the framing, with its limits; it reads and writes streams and knows no devices.
 
+#![warn(clippy::too_many_lines)]
+
 mod client;
 mod hello;
 mod link;

@@ -5,6 +5,7 @@
 //!
 //! Known to this crate: events, frames, calibrations. Unknown: how they came about, and files.
 
+#![warn(clippy::too_many_lines)]
 #![cfg_attr(
     not(test),
     warn(

@@ -26,6 +26,49 @@ const THETA: [Key; 1] = [Key {
     label: "θ",
 }];
 
+/// The second where the truth is known.
+const IDEAL_AND_TRUTH: [Key; 2] = [
+    Key {
+        class: "ideal",
+        mark: None,
+        line: true,
+        label: "expected",
+    },
+    Key {
+        class: "truth",
+        mark: Some(Mark::Ring),
+        line: false,
+        label: "truth",
+    },
+];
+/// The last where the truth is known.
+const WAY: [Key; 4] = [
+    Key {
+        class: "start",
+        mark: Some(Mark::Ring),
+        line: false,
+        label: "start",
+    },
+    Key {
+        class: "stop",
+        mark: Some(Mark::Square),
+        line: false,
+        label: "end",
+    },
+    Key {
+        class: "goal",
+        mark: Some(Mark::Plus),
+        line: false,
+        label: "saved",
+    },
+    Key {
+        class: "truth",
+        mark: None,
+        line: true,
+        label: "truth",
+    },
+];
+
 pub(crate) fn section(r: &Report<'_>, m: &Magnification<'_>) -> String {
     if m.iterations.is_empty() {
         return "<p class=\"none\">The saved view was never recognised here, so there is no error to plot.</p>\n".into();
@@ -170,14 +213,7 @@ fn convergence(r: &Report<'_>, m: &Magnification<'_>, lambda: Option<f64>) -> St
         }
         let x_name = if unit == "µm" { "" } else { "iteration" };
         p.axes(&mut c, x_name, unit);
-        if let (Some(l), Some(first)) = (lambda.filter(|l| *l < 1.0), points.first()) {
-            let ideal: Vec<_> = points
-                .iter()
-                .map(|q| [q[0], first[1] * (1.0 - l).powf(q[0] - first[0])])
-                .take_while(|q| q[1] >= y.min)
-                .collect();
-            p.line(&mut c, "ideal", &ideal);
-        }
+        ideal(&mut c, &p, lambda, points);
         let mark = if class == "ink" {
             Mark::Dot
         } else {
@@ -186,22 +222,24 @@ fn convergence(r: &Report<'_>, m: &Magnification<'_>, lambda: Option<f64>) -> St
         p.series(&mut c, class, mark, points);
         p.marks(&mut c, "truth", Mark::Ring, truth);
     }
-    let mut keys = vec![Key {
-        class: "ideal",
-        mark: None,
-        line: true,
-        label: "expected",
-    }];
-    if !truths.is_empty() {
-        keys.push(Key {
-            class: "truth",
-            mark: Some(Mark::Ring),
-            line: false,
-            label: "truth",
-        });
-    }
-    c.legend(WIDTH - 82.0 * keys.len() as f64 + 20.0, 17.0, &keys);
+    let keys = match truths.is_empty() {
+        true => &IDEAL_AND_TRUTH[..1],
+        false => &IDEAL_AND_TRUTH,
+    };
+    c.legend(WIDTH - 82.0 * keys.len() as f64 + 20.0, 17.0, keys);
     c.finish()
+}
+
+/// What the law should leave of the first error.
+fn ideal(c: &mut Canvas, p: &Panel, lambda: Option<f64>, points: &[[f64; 2]]) {
+    if let (Some(l), Some(first)) = (lambda.filter(|l| *l < 1.0), points.first()) {
+        let ideal: Vec<_> = points
+            .iter()
+            .map(|q| [q[0], first[1] * (1.0 - l).powf(q[0] - first[0])])
+            .take_while(|q| q[1] >= p.y.min)
+            .collect();
+        p.line(c, "ideal", &ideal);
+    }
 }
 
 /// Zeros and stray tiny values must not stretch the scale over empty decades.
@@ -235,6 +273,19 @@ fn convergence_caption(r: &Report<'_>, lambda: Option<f64>) -> String {
     out
 }
 
+/// A panel in which one micrometre is as long in both directions.
+fn equal_panel(x: Scale, y: Scale, width: f64, height: f64) -> Panel {
+    let per_unit = ((x.max - x.min) / width).max((y.max - y.min) / height);
+    let around = |s: Scale, units: f64| {
+        let middle = (s.min + s.max) / 2.0;
+        Scale::exact(
+            middle - units * per_unit / 2.0,
+            middle + units * per_unit / 2.0,
+        )
+    };
+    Panel::wide(46.0, height, around(x, width), around(y, height))
+}
+
 /// The way of the view's centre over the specimen.
 fn path(r: &Report<'_>, m: &Magnification<'_>) -> Option<(String, String)> {
     let target = r.target_size()?;
@@ -259,16 +310,7 @@ fn path(r: &Report<'_>, m: &Magnification<'_>) -> Option<(String, String)> {
     let of = |k: usize| way.iter().chain(&truth).map(move |p| p[k]).chain([0.0]);
     let (x, y) = (Scale::linear(of(0)), Scale::linear(of(1)));
     let (width, height) = (WIDTH - 52.0, 188.0);
-    // One micrometre is as long in both directions.
-    let per_unit = ((x.max - x.min) / width).max((y.max - y.min) / height);
-    let around = |s: Scale, units: f64| {
-        let middle = (s.min + s.max) / 2.0;
-        Scale::exact(
-            middle - units * per_unit / 2.0,
-            middle + units * per_unit / 2.0,
-        )
-    };
-    let mut p = Panel::wide(46.0, height, around(x, width), around(y, height));
+    let mut p = equal_panel(x, y, width, height);
     p.y_down = true;
     let mut c = Canvas::new(
         272.0,
@@ -291,35 +333,11 @@ fn path(r: &Report<'_>, m: &Magnification<'_>) -> Option<(String, String)> {
     c.mark("goal", Mark::Plus, ox, oy);
     p.marks(&mut c, "start", Mark::Ring, &[first]);
     p.marks(&mut c, "stop", Mark::Square, &[last]);
-    let mut keys = vec![
-        Key {
-            class: "start",
-            mark: Some(Mark::Ring),
-            line: false,
-            label: "start",
-        },
-        Key {
-            class: "stop",
-            mark: Some(Mark::Square),
-            line: false,
-            label: "end",
-        },
-        Key {
-            class: "goal",
-            mark: Some(Mark::Plus),
-            line: false,
-            label: "saved",
-        },
-    ];
-    if !truth.is_empty() {
-        keys.push(Key {
-            class: "truth",
-            mark: None,
-            line: true,
-            label: "truth",
-        });
-    }
-    c.legend(0.0, 17.0, &keys);
+    let keys = match truth.is_empty() {
+        true => &WAY[..3],
+        false => &WAY,
+    };
+    c.legend(0.0, 17.0, keys);
     let caption = format!(
         "Path of the view's centre on the specimen, {} long as the crow flies; {} turned at the start.",
         um((first[0] - last[0]).hypot(first[1] - last[1])),

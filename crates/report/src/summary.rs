@@ -278,6 +278,36 @@ fn target_alone(r: &Report<'_>) -> Option<String> {
     ))
 }
 
+/// Rings about a centre, `ring` micrometres apart, where one micrometre is `unit` long.
+fn rings(c: &mut Canvas, [cx, cy]: [f64; 2], ring: f64, unit: f64, count: usize) {
+    for k in 1..=count {
+        let radius = k as f64 * ring * unit;
+        c.raw(&format!(
+            "<circle class=\"grid\" cx=\"{}\" cy=\"{}\" r=\"{}\"/>",
+            Attr(cx),
+            Attr(cy),
+            Attr(radius)
+        ));
+        let decimals = (-ring.log10().floor()).max(0.0) as usize;
+        c.text(
+            "tick mid lift",
+            cx,
+            cy - radius + 4.0,
+            &fixed(k as f64 * ring, decimals),
+        );
+    }
+}
+
+/// The square of one pixel of the target, from its centre and half its side.
+fn square(c: &mut Canvas, [cx, cy]: [f64; 2], half: f64) {
+    c.raw(&format!(
+        "<rect class=\"pixel\" x=\"{}\" y=\"{}\" width=\"{2}\" height=\"{2}\"/>",
+        Attr(cx - half),
+        Attr(cy - half),
+        Attr(2.0 * half)
+    ));
+}
+
 /// Where the view's centre ended around the target's, against one pixel.
 fn bullseye(r: &Report<'_>) -> Option<String> {
     r.timeline.outcome?.estimated_error_um?;
@@ -319,30 +349,14 @@ fn bullseye(r: &Report<'_>) -> Option<String> {
     );
     let unit = side / (2.0 * outer);
     let [cx, cy] = p.at(0.0, 0.0);
-    let rings = (outer / ring).round() as usize;
-    for k in 1..=rings {
-        let radius = k as f64 * ring * unit;
-        c.raw(&format!(
-            "<circle class=\"grid\" cx=\"{}\" cy=\"{}\" r=\"{}\"/>",
-            Attr(cx),
-            Attr(cy),
-            Attr(radius)
-        ));
-        let decimals = (-ring.log10().floor()).max(0.0) as usize;
-        c.text(
-            "tick mid lift",
-            cx,
-            cy - radius + 4.0,
-            &fixed(k as f64 * ring, decimals),
-        );
-    }
-    let half = pixel_um * unit / 2.0;
-    c.raw(&format!(
-        "<rect class=\"pixel\" x=\"{}\" y=\"{}\" width=\"{2}\" height=\"{2}\"/>",
-        Attr(cx - half),
-        Attr(cy - half),
-        Attr(2.0 * half)
-    ));
+    rings(
+        &mut c,
+        [cx, cy],
+        ring,
+        unit,
+        (outer / ring).round() as usize,
+    );
+    square(&mut c, [cx, cy], pixel_um * unit / 2.0);
     c.mark("faint", Mark::Plus, cx, cy);
     let [mx, my] = p.at(x, y);
     c.raw(&format!(

@@ -147,17 +147,7 @@ impl<'a> Timeline<'a> {
                 residual_px,
                 views,
             } => {
-                let made = Some((calibration, *residual_px, *views));
-                match self.calibrations.last_mut() {
-                    Some(c) if c.made.is_none() && *c.objective == calibration.objective => {
-                        c.made = made;
-                    }
-                    _ => self.calibrations.push(Calibrating {
-                        objective: &calibration.objective,
-                        shifts_px: Vec::new(),
-                        made,
-                    }),
-                }
+                self.calibrated(calibration, *residual_px, *views);
             }
             Event::Iteration {
                 objective,
@@ -195,6 +185,20 @@ impl<'a> Timeline<'a> {
                 reason: reason.to_string(),
             }),
             Event::Finished { outcome } => self.outcome = Some(outcome),
+        }
+    }
+
+    fn calibrated(&mut self, calibration: &'a Calibration, residual_px: f64, views: usize) {
+        let made = Some((calibration, residual_px, views));
+        match self.calibrations.last_mut() {
+            Some(c) if c.made.is_none() && *c.objective == calibration.objective => {
+                c.made = made;
+            }
+            _ => self.calibrations.push(Calibrating {
+                objective: &calibration.objective,
+                shifts_px: Vec::new(),
+                made,
+            }),
         }
     }
 

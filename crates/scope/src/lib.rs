@@ -10,6 +10,8 @@
 //! - [`MotionGate`]: the only way to move an [`Instrument`]. It refuses what its [`Rules`] do not allow, and never clips.
 //! - [`conformance`]: one suite that every implementation must pass.
 
+#![warn(clippy::too_many_lines)]
+
 mod absent;
 mod breach;
 mod camera;

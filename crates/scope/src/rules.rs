@@ -115,17 +115,9 @@ impl Rules {
         stage: &StageInfo,
         objectives: &[ObjectiveId],
     ) -> Result<Vec<AxisRange>, ScopeError> {
-        let bad = |what: String| Err(ScopeError::BadSetting { what });
         for axis in &stage.axes {
             axis.check()?;
         }
-        let known = |id: &ObjectiveId| objectives.contains(id);
-        let axis = |axis: Axis| {
-            stage
-                .axis(axis)
-                .ok_or(ScopeError::NoSuchAxis { axis })
-                .copied()
-        };
         let travel: Vec<AxisRange> = stage
             .axes
             .iter()
@@ -136,13 +128,27 @@ impl Rules {
             })
             .collect();
         let ranges = narrowed(&travel, &self.limits, stage)?;
+        self.check_objective_limits(stage, &ranges, objectives)?;
+        self.check_largest_steps(stage)?;
+        self.check_zones(stage, objectives)?;
+        self.check_change(stage, &ranges)?;
+        Ok(ranges)
+    }
+
+    /// The limits of single objectives are for those that there are, and leave room for the retreat.
+    fn check_objective_limits(
+        &self,
+        stage: &StageInfo,
+        ranges: &[AxisRange],
+        objectives: &[ObjectiveId],
+    ) -> Result<(), ScopeError> {
         for (id, limits) in &self.objective_limits {
-            if !known(id) {
+            if !objectives.contains(id) {
                 return bad(format!(
                     "limits are set for {id}, which is no objective here"
                 ));
             }
-            let own = narrowed(&ranges, limits, stage)?;
+            let own = narrowed(ranges, limits, stage)?;
             if let ChangeRule::Retracted { z, .. } = self.change
                 && let Some(room) = own.iter().find(|r| r.axis == Axis::Z)
                 && !holds_retreat(room, z, stage)
@@ -155,8 +161,12 @@ impl Rules {
                 ));
             }
         }
+        Ok(())
+    }
+
+    fn check_largest_steps(&self, stage: &StageInfo) -> Result<(), ScopeError> {
         for largest in &self.largest_steps {
-            axis(largest.axis)?;
+            needed(stage, largest.axis)?;
             if !(largest.step.is_finite() && largest.step > 0.0) {
                 return bad(format!(
                     "the largest step of {} must be above 0",
@@ -164,9 +174,13 @@ impl Rules {
                 ));
             }
         }
+        Ok(())
+    }
+
+    fn check_zones(&self, stage: &StageInfo, objectives: &[ObjectiveId]) -> Result<(), ScopeError> {
         for zone in &self.zones {
-            for needed in [Axis::X, Axis::Y, Axis::Z] {
-                axis(needed)?;
+            for axis in [Axis::X, Axis::Y, Axis::Z] {
+                needed(stage, axis)?;
             }
             let rises = |r: [f64; 2]| r[0].is_finite() && r[1].is_finite() && r[0] <= r[1];
             if !(rises(zone.x) && rises(zone.y) && zone.closest_z.is_finite()) {
@@ -175,32 +189,38 @@ impl Rules {
                     zone.name
                 ));
             }
-            if let Some(id) = zone.objectives.iter().find(|id| !known(id)) {
+            if let Some(id) = zone.objectives.iter().find(|id| !objectives.contains(id)) {
                 return bad(format!(
                     "the zone '{}' is for {id}, which is no objective here",
                     zone.name
                 ));
             }
         }
-        if let ChangeRule::Retracted { z, margin } = self.change {
-            let info = axis(Axis::Z)?;
-            let range = ranges.iter().find(|r| r.axis == Axis::Z);
-            let inside = range.is_some_and(|r| holds_retreat(r, z, stage));
-            if !(margin.is_finite() && margin >= 0.0) {
-                return bad("the margin of an objective change must not be negative".into());
-            }
-            if !inside {
-                return bad(format!(
-                    "objectives are to change from z = {:.1} um on, and a retreat goes {:.1} um beyond that, farther than z repeats to: \
-                     this is outside the limits of z, {:.1} to {:.1} um",
-                    z * 1e6,
-                    clearance(stage) * 1e6,
-                    range.map_or(info.min, |r| r.min) * 1e6,
-                    range.map_or(info.max, |r| r.max) * 1e6
-                ));
-            }
+        Ok(())
+    }
+
+    /// Objectives change where the stage can retreat to.
+    fn check_change(&self, stage: &StageInfo, ranges: &[AxisRange]) -> Result<(), ScopeError> {
+        let ChangeRule::Retracted { z, margin } = self.change else {
+            return Ok(());
+        };
+        let info = needed(stage, Axis::Z)?;
+        let range = ranges.iter().find(|r| r.axis == Axis::Z);
+        let inside = range.is_some_and(|r| holds_retreat(r, z, stage));
+        if !(margin.is_finite() && margin >= 0.0) {
+            return bad("the margin of an objective change must not be negative".into());
         }
-        Ok(ranges)
+        if !inside {
+            return bad(format!(
+                "objectives are to change from z = {:.1} um on, and a retreat goes {:.1} um beyond that, farther than z repeats to: \
+                 this is outside the limits of z, {:.1} to {:.1} um",
+                z * 1e6,
+                clearance(stage) * 1e6,
+                range.map_or(info.min, |r| r.min) * 1e6,
+                range.map_or(info.max, |r| r.max) * 1e6
+            ));
+        }
+        Ok(())
     }
 
     /// Whether these rules make sense for a stage and its objectives.
@@ -223,6 +243,15 @@ fn holds_retreat(range: &AxisRange, z: f64, stage: &StageInfo) -> bool {
     [z, beyond]
         .iter()
         .all(|z| (range.min..=range.max).contains(z))
+}
+
+fn bad(what: String) -> Result<(), ScopeError> {
+    Err(ScopeError::BadSetting { what })
+}
+
+/// An axis that a rule is about.
+fn needed(stage: &StageInfo, axis: Axis) -> Result<&AxisInfo, ScopeError> {
+    stage.axis(axis).ok_or(ScopeError::NoSuchAxis { axis })
 }
 
 /// `ranges` narrowed by `limits`.

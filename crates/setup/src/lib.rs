@@ -3,6 +3,8 @@
 //! [`Config::read`] reads and checks the file, [`open`] makes an [`scopeservo_scope::Instrument`] of it. Nothing moves because of
 //! either, unless the user agreed to homing.
 
+#![warn(clippy::too_many_lines)]
+
 mod by_hand;
 mod config;
 mod error;

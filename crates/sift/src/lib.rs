@@ -29,6 +29,7 @@
 //! # Ok::<(), scopeservo_sift::SiftError>(())
 //! ```
 
+#![warn(clippy::too_many_lines)]
 #![cfg_attr(
     not(test),
     warn(

@@ -8,6 +8,8 @@
 //! Memory: a PNG, JPEG or stripped TIFF is held once, decoded, at 3 bytes per pixel. A tiled TIFF stays on disk; at
 //! most [`TILE_CACHE_BYTES`] of its decoded tiles are kept.
 
+#![warn(clippy::too_many_lines)]
+
 pub mod cache;
 mod error;
 mod jpeg;

@@ -2,6 +2,8 @@
 //!
 //! Each study is an example of this crate: `cargo run --release -p scopeservo-studies --example NAME -- ARGS`.
 
+#![warn(clippy::too_many_lines)]
+
 pub mod accuracy;
 pub mod bench;
 pub mod crops;

@@ -19,6 +19,8 @@
 //!
 //! [`Clock`]: scopeservo_scope::Clock
 
+#![warn(clippy::too_many_lines)]
+
 mod affine;
 mod blur;
 mod camera_config;

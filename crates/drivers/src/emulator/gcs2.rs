@@ -326,19 +326,7 @@ impl Controller {
                     says.extend(if yes { b"1\n" } else { b"0\n" });
                 }
             }
-            "MOV" => {
-                let Some(pairs) = self.pairs(rest) else {
-                    return;
-                };
-                let goal = self.with(&pairs);
-                if pairs.iter().any(|(at, _)| !self.referenced[*at]) {
-                    self.error = 5;
-                } else if self.reachable(&goal) {
-                    self.move_to(goal);
-                } else {
-                    self.error = 7;
-                }
-            }
+            "MOV" => self.obey_move(rest),
             "FRF" => {
                 if let Some(axes) = self.chosen(rest) {
                     for at in &axes {
@@ -354,18 +342,7 @@ impl Controller {
                     self.error = 10;
                 }
             }
-            "VEL" => {
-                let Some(pairs) = self.pairs(rest) else {
-                    return;
-                };
-                if pairs.iter().any(|(_, v)| !(0.0..=20.0).contains(v)) {
-                    self.error = 8;
-                } else {
-                    for (at, v) in pairs {
-                        self.velocities[at] = v;
-                    }
-                }
-            }
+            "VEL" => self.obey_velocities(rest),
             "VLS?" => says.extend(format!("{:.6}\n", self.velocities[0]).bytes()),
             "VLS" => match rest {
                 [v] if v.parse().is_ok_and(|v: f64| (0.0..=20.0).contains(&v)) => {
@@ -380,19 +357,48 @@ impl Controller {
                 let [x, y, z] = self.pivot;
                 says.extend(format!("X={x:.6} \nY={y:.6} \nZ={z:.6}\n").bytes());
             }
-            "SPI" => {
-                let Some(pairs) = self.pairs(rest) else {
-                    return;
-                };
-                if self.place().iter().skip(3).any(|v| *v != 0.0) {
-                    self.error = 9;
-                } else {
-                    for (at, v) in pairs.into_iter().filter(|(at, _)| *at < 3) {
-                        self.pivot[at] = v;
-                    }
-                }
-            }
+            "SPI" => self.obey_pivot(rest),
             _ => self.error = 2,
+        }
+    }
+
+    fn obey_move(&mut self, rest: &[&str]) {
+        let Some(pairs) = self.pairs(rest) else {
+            return;
+        };
+        let goal = self.with(&pairs);
+        if pairs.iter().any(|(at, _)| !self.referenced[*at]) {
+            self.error = 5;
+        } else if self.reachable(&goal) {
+            self.move_to(goal);
+        } else {
+            self.error = 7;
+        }
+    }
+
+    fn obey_velocities(&mut self, rest: &[&str]) {
+        let Some(pairs) = self.pairs(rest) else {
+            return;
+        };
+        if pairs.iter().any(|(_, v)| !(0.0..=20.0).contains(v)) {
+            self.error = 8;
+        } else {
+            for (at, v) in pairs {
+                self.velocities[at] = v;
+            }
+        }
+    }
+
+    fn obey_pivot(&mut self, rest: &[&str]) {
+        let Some(pairs) = self.pairs(rest) else {
+            return;
+        };
+        if self.place().iter().skip(3).any(|v| *v != 0.0) {
+            self.error = 9;
+        } else {
+            for (at, v) in pairs.into_iter().filter(|(at, _)| *at < 3) {
+                self.pivot[at] = v;
+            }
         }
     }
 }

@@ -21,6 +21,10 @@ const MOVE_BEYOND: f64 = 0.6;
 
 /// Follows the quadratic fit from a sample to its extremum; `None` when it leads away, is too weak, lies on an edge or is below the
 /// bar.
+#[expect(
+    clippy::too_many_lines,
+    reason = "a kernel: in parts, each with its arguments, the fit would be longer and no clearer"
+)]
 #[inline(always)]
 pub(super) fn refine<S: Simd>(
     s: S,

@@ -210,16 +210,54 @@ fn thin(bins: &mut [Vec<Candidate>], across: usize) {
     }
 }
 
+/// Half a turn: any direction.
+const ANY: f32 = std::f32::consts::PI;
+
+/// A direction near another.
+fn spin(d: &mut Dice, axis: [f32; 2], spread: f32) -> [f32; 2] {
+    let (sin, cos) = (spread * (d.next() + d.next() - 1.0)).sin_cos();
+    [axis[0] * cos - axis[1] * sin, axis[0] * sin + axis[1] * cos]
+}
+
+fn across([x, y]: [f32; 2]) -> [f32; 2] {
+    [-y, x]
+}
+
+/// An epithelial cell of a gland stands on its wall.
+fn of_a_gland(cell: &mut Cell, d: &mut Dice, rise: [f32; 2]) {
+    cell.axis = spin(d, rise, 0.35);
+    cell.stretch = d.range(1.5, 2.3);
+    let b = d.range(2.0, 2.8);
+    cell.nucleus = [b * d.range(1.25, 1.9), b];
+    cell.hematoxylin = d.range(0.85, 1.5);
+    cell.eosin = d.range(0.75, 1.15);
+    cell.basophil = d.range(0.05, 0.22);
+}
+
+/// An epithelial cell of a layer lies flatter the more mature it is.
+fn of_a_layer(cell: &mut Cell, d: &mut Dice, flat: [f32; 2], depth: f32) {
+    let mature = smoothstep(15.0, 70.0, depth);
+    cell.axis = spin(d, across(flat), ANY * (1.0 - 0.75 * mature));
+    cell.stretch = 1.0 + d.range(0.1, 0.45) + 1.1 * mature * d.next();
+    let b = d.range(2.0, 3.3) * (1.0 - 0.22 * mature);
+    cell.nucleus = [b * d.range(1.05, 1.6), b];
+    cell.hematoxylin = d.range(0.6, 1.35) * (1.0 - 0.2 * mature);
+    cell.eosin = d.range(0.72, 1.18) * (1.0 + 0.1 * mature);
+    cell.basophil = d.range(0.04, 0.22) * (1.0 - 0.85 * mature);
+    if d.chance(0.03 + 0.22 * mature) {
+        cell.hole = d.range(2.4, 5.2);
+        cell.nucleus = cell.nucleus.map(|r| 0.75 * r);
+        cell.offset = [d.range(-1.6, 1.6), d.range(-1.6, 1.6)];
+        if d.chance(0.45) {
+            cell.nucleus = [0.0; 2];
+        }
+    }
+}
+
 fn dress(seed: u64, plan: &PlanGrid, c: &Candidate) -> Cell {
     let p = plan.at(c.u, c.v);
     let key = |x: f64| (x * 256.0) as i64;
     let mut d = Dice::new(seed ^ 0xD4E55, key(c.u), key(c.v));
-    let mut spin = |axis: [f32; 2], spread: f32| {
-        let (sin, cos) = (spread * (d.next() + d.next() - 1.0)).sin_cos();
-        [axis[0] * cos - axis[1] * sin, axis[0] * sin + axis[1] * cos]
-    };
-    let across = |[x, y]: [f32; 2]| [-y, x];
-    let any = std::f32::consts::PI;
     let mut cell = Cell {
         kind: c.kind,
         u: c.u,
@@ -239,42 +277,20 @@ fn dress(seed: u64, plan: &PlanGrid, c: &Candidate) -> Cell {
     };
     match c.kind {
         Kind::Epithelial if p.gland > 0.5 => {
-            cell.axis = spin(plan.rise(c.u, c.v, |p| p.depth), 0.35);
-            cell.stretch = d.range(1.5, 2.3);
-            let b = d.range(2.0, 2.8);
-            cell.nucleus = [b * d.range(1.25, 1.9), b];
-            cell.hematoxylin = d.range(0.85, 1.5);
-            cell.eosin = d.range(0.75, 1.15);
-            cell.basophil = d.range(0.05, 0.22);
+            of_a_gland(&mut cell, &mut d, plan.rise(c.u, c.v, |p| p.depth));
         }
         Kind::Epithelial => {
-            let mature = smoothstep(15.0, 70.0, p.depth);
-            let flat = plan.rise(c.u, c.v, |p| p.depth);
-            cell.axis = spin(across(flat), any * (1.0 - 0.75 * mature));
-            cell.stretch = 1.0 + d.range(0.1, 0.45) + 1.1 * mature * d.next();
-            let b = d.range(2.0, 3.3) * (1.0 - 0.22 * mature);
-            cell.nucleus = [b * d.range(1.05, 1.6), b];
-            cell.hematoxylin = d.range(0.6, 1.35) * (1.0 - 0.2 * mature);
-            cell.eosin = d.range(0.72, 1.18) * (1.0 + 0.1 * mature);
-            cell.basophil = d.range(0.04, 0.22) * (1.0 - 0.85 * mature);
-            if d.chance(0.03 + 0.22 * mature) {
-                cell.hole = d.range(2.4, 5.2);
-                cell.nucleus = cell.nucleus.map(|r| 0.75 * r);
-                cell.offset = [d.range(-1.6, 1.6), d.range(-1.6, 1.6)];
-                if d.chance(0.45) {
-                    cell.nucleus = [0.0; 2];
-                }
-            }
+            of_a_layer(&mut cell, &mut d, plan.rise(c.u, c.v, |p| p.depth), p.depth);
         }
         Kind::Fibroblast => {
-            cell.axis = spin(across(plan.rise(c.u, c.v, |p| p.flow)), 0.5);
+            cell.axis = spin(&mut d, across(plan.rise(c.u, c.v, |p| p.flow)), 0.5);
             let b = d.range(0.9, 1.9);
             cell.nucleus = [b * d.range(2.8, 6.0), b];
             cell.hematoxylin = d.range(0.6, 1.3);
             cell.bend = d.range(-0.3, 0.3);
         }
         Kind::Lymphocyte => {
-            cell.axis = spin([1.0, 0.0], any);
+            cell.axis = spin(&mut d, [1.0, 0.0], ANY);
             let b = d.range(2.3, 3.2);
             cell.nucleus = [b * d.range(1.0, 1.3), b];
             cell.hematoxylin = d.range(1.05, 1.75);
@@ -282,7 +298,7 @@ fn dress(seed: u64, plan: &PlanGrid, c: &Candidate) -> Cell {
             cell.basophil = d.range(0.1, 0.3);
         }
         Kind::RedCell => {
-            cell.axis = spin([1.0, 0.0], any);
+            cell.axis = spin(&mut d, [1.0, 0.0], ANY);
             cell.stretch = d.range(1.0, 1.25);
             cell.eosin = d.range(0.7, 1.15);
             cell.hole = d.range(2.6, 3.3);
