@@ -170,52 +170,72 @@ impl Desk {
         };
         self.journal.comes(case.kind(), asked);
         let mut record = answer.or_warn(self.library.begin_run(&head));
-        let job = self.session.start(&self.lease, case);
-        let job = job.map_err(|e| CliError::Internal(e.to_string()))?;
-        let id = job.handle().id();
-        loop {
-            let told = match self.told.recv_timeout(LOOK) {
-                Ok(told) => told,
-                Err(RecvTimeoutError::Timeout) => match job.state() {
-                    JobState::Ended(_) => break,
-                    _ => continue,
-                },
-                Err(RecvTimeoutError::Disconnected) => break,
-            };
-            match told {
-                Told::Frame(frame, role) => {
-                    self.waiting.fetch_sub(1, Ordering::SeqCst);
-                    watcher.frame(&frame, role);
+        let output = self.follow(case, |told| match told {
+            Told::Frame(frame, role) => watcher.frame(&frame, role),
+            Told::Event(news) => {
+                if let (Some(record), Ok(line)) = (&mut record, serde_json::to_string(&*news)) {
+                    record.event(&line);
                 }
-                Told::Event(news) => {
-                    if let (Some(record), Ok(line)) = (&mut record, serde_json::to_string(&*news)) {
-                        record.event(&line);
+                match &news.news {
+                    News::Procedure(event) => watcher.event(Stamped {
+                        time_s: news.time_s,
+                        event: (**event).clone(),
+                    }),
+                    News::Station(StationEvent::NotKept { why, .. }) => {
+                        answer.warn(Code::NotKept, why);
                     }
-                    match &news.news {
-                        News::Procedure(event) => watcher.event(Stamped {
-                            time_s: news.time_s,
-                            event: (**event).clone(),
-                        }),
-                        News::Station(StationEvent::NotKept { why, .. }) => {
-                            answer.warn(Code::NotKept, why);
-                        }
-                        News::Station(StationEvent::JobEnded { id: ended, .. }) if *ended == id => {
-                            break;
-                        }
-                        _ => {}
-                    }
+                    _ => {}
                 }
             }
-        }
+        })?;
         watcher.finish();
         if let Some(lost) = self.journal.lost() {
             answer.warn(Code::NotKept, lost);
         }
         Ok(Ran {
-            output: job.wait().map_err(CliError::from),
+            output,
             made: self.journal.made(),
             record,
         })
+    }
+
+    /// Runs a job to its end, and hands on all that it tells. The inner error is the job's.
+    pub(crate) fn follow<U: UseCase>(
+        &self,
+        case: U,
+        mut hear: impl FnMut(Told),
+    ) -> Result<Result<U::Output, CliError>, CliError> {
+        let job = self.session.start(&self.lease, case);
+        let job = job.map_err(|e| CliError::Internal(e.to_string()))?;
+        let id = job.handle().id();
+        let is_end = |told: &Told| match told {
+            Told::Event(record) => matches!(
+                &record.news,
+                News::Station(StationEvent::JobEnded { id: ended, .. }) if *ended == id
+            ),
+            Told::Frame(..) => false,
+        };
+        loop {
+            match self.told.recv_timeout(LOOK) {
+                Ok(told) => {
+                    let ended = is_end(&told);
+                    if let Told::Frame(..) = told {
+                        self.waiting.fetch_sub(1, Ordering::SeqCst);
+                    }
+                    hear(told);
+                    if ended {
+                        break;
+                    }
+                }
+                Err(RecvTimeoutError::Timeout) => {
+                    if let JobState::Ended(_) = job.state() {
+                        break;
+                    }
+                }
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        Ok(job.wait().map_err(CliError::from))
     }
 }
 
@@ -245,7 +265,7 @@ impl<T> Ran<T> {
 }
 
 /// What comes from the job's thread.
-enum Told {
+pub(crate) enum Told {
     Event(Arc<Record>),
     Frame(Arc<Frame>, FrameRole),
 }

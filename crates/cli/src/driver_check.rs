@@ -5,13 +5,13 @@ use crate::args::DriverCheckArgs;
 use crate::desk::rein_in;
 use crate::doctor::{Finding, Findings};
 use crate::error::CliError;
-use crate::trial;
 use scopeservo_protocol::{Driver, Secret};
 use scopeservo_scope::{
     CancelToken, ChangeRule, Clock, Devices, Instrument, Light, Rules, ScopeError, SystemClock,
     conformance,
 };
 use scopeservo_setup::{Held, SetupError};
+use scopeservo_station::jobs::look_by_small_moves;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -41,8 +41,8 @@ pub(crate) fn run(args: &DriverCheckArgs, answer: &Answer) -> Result<bool, CliEr
 
     if stage && camera {
         // The smallest steps first.
-        let (seen, goes_on) = trial::of_pictures(&scope);
-        seen.into_iter().for_each(|finding| findings.add(finding));
+        let (seen, goes_on) = look_by_small_moves(&scope);
+        seen.iter().for_each(|found| findings.add(found.into()));
         scope.check_cancel()?;
         if !goes_on {
             return findings.conclude("driver check");

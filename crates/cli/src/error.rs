@@ -197,7 +197,7 @@ fn library_code(error: &LibraryError) -> Code {
 }
 
 /// The end of the sentence that an error is.
-fn advice(remedy: &Remedy) -> String {
+pub(crate) fn advice(remedy: &Remedy) -> String {
     match remedy {
         Remedy::Scope(ScopeRemedy::Home) => ", then allow it with --home".into(),
         Remedy::Scope(ScopeRemedy::BringBack) => ": `scopeservo stage go`".into(),

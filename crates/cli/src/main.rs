@@ -22,7 +22,6 @@ mod scene;
 mod stage;
 mod targets;
 mod threads;
-mod trial;
 mod twin_serve;
 mod views;
 

@@ -1,6 +1,7 @@
 //! What can go wrong with an instrument, with what the next layer needs to go on.
 
 use crate::{Axis, Breach, ObjectiveId, StagePose};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// A number that a device told, whatever it is.
@@ -250,7 +251,8 @@ pub enum ScopeError {
 }
 
 /// What can be done about an error, besides what its words say: each front end names the command or the button that does it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "do", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Remedy {
     /// Let the stage find its reference, which moves it.

@@ -1,5 +1,6 @@
 //! What can be heard.
 
+use crate::jobs::Finding;
 use crate::{Ended, JobId, JobInfo, Pause, Question, QuestionId};
 use scopeservo_scope::GateEvent;
 use scopeservo_servo::Event;
@@ -71,6 +72,11 @@ pub enum StationEvent {
         /// Why.
         why: String,
     },
+    /// A doctor found something, good or bad.
+    Found {
+        /// What.
+        finding: Box<Finding>,
+    },
     /// Somebody is asked something.
     Asked {
         /// What.
@@ -126,6 +132,7 @@ impl Record {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::jobs::Check;
     use scopeservo_servo::FrameRole;
 
     /// Who tells stands beside what is told: no key of one may be a key of the other.
@@ -138,6 +145,12 @@ mod tests {
             objective,
         };
         let to = scopeservo_scope::StagePose::default();
+        let error = scopeservo_scope::ScopeError::NotHomed { device: "stage" };
+        let finding = Box::new(Finding {
+            check: Check::Position { at: None },
+            of_trial: false,
+            trouble: Some(error.into()),
+        });
         let told = [
             News::Procedure(Box::new(grabbed)),
             News::Gate(GateEvent::MoveAsked { to }),
@@ -145,6 +158,7 @@ mod tests {
                 id: JobId(3),
                 how: Ended::Answered,
             }),
+            News::Station(StationEvent::Found { finding }),
         ];
         for news in told {
             let record = Record {

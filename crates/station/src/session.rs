@@ -239,6 +239,7 @@ impl Shared {
     /// The whole life of a job, on its thread.
     fn carry_out<U: UseCase>(&self, core: &Arc<Core>, case: U, slot: &Slot<U::Output>) {
         let has_turn = self.line.wait_turn(core);
+        let has_journal = has_turn && case.can_go_on();
         let result = match has_turn {
             false => Err(JobError::Stopped { at: None }),
             true => {
@@ -255,7 +256,7 @@ impl Shared {
         let how = Ended::of(&result);
         // A journal or a keeper that panics does not take the line with it.
         let _ = catch_unwind(AssertUnwindSafe(|| {
-            if has_turn && let Err(error) = self.journal.ended(&core.info, &how) {
+            if has_journal && let Err(error) = self.journal.ended(&core.info, &how) {
                 self.not_kept(core, &error);
             }
             let (id, how) = (core.info.id, how.clone());
@@ -280,7 +281,9 @@ impl Shared {
         loop {
             self.await_leave_to_go_on(core)?;
             let state = || serde_json::to_vec(&case).map_err(|e| JournalError(e.to_string()));
-            self.journal.before_step(&core.info, step, &state)?;
+            if case.can_go_on() {
+                self.journal.before_step(&core.info, step, &state)?;
+            }
             if let Progress::Done(output) = case.step(&mut work)? {
                 return Ok(output);
             }

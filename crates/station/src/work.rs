@@ -1,6 +1,7 @@
 //! A job as it sees itself: a use case that is stepped, and what it may touch.
 
 use crate::job::Core;
+use crate::jobs::Finding;
 use crate::session::Shared;
 use crate::{Bus, JobError, QuestionKind, StationEvent, lock};
 use scopeservo_scope::{FlatField, Frame, Instrument, Objective, ObjectiveId};
@@ -17,6 +18,11 @@ pub trait UseCase: Serialize + Send + 'static {
 
     /// A word for programs.
     fn kind(&self) -> &'static str;
+
+    /// Whether it can go on after its program was killed. Of one that cannot nothing is kept in the journal, where a killed job may wait.
+    fn can_go_on(&self) -> bool {
+        true
+    }
 
     /// Does the next small piece of work: a step of a procedure.
     ///
@@ -143,6 +149,12 @@ impl<'a> Work<'a> {
         };
         self.keep(Kept::Calibration(Box::new(made.clone())));
         made
+    }
+
+    /// Tells what a doctor found.
+    pub fn tell_found(&mut self, finding: &Finding) {
+        let finding = Box::new(finding.clone());
+        self.shared.bus.station(StationEvent::Found { finding });
     }
 
     /// The last frame that was grabbed as a target.

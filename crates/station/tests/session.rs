@@ -5,10 +5,12 @@ mod common;
 use common::{PLACE_UM, Watched, bench, drain};
 use scopeservo_servo::{Event, FocusOptions, RepositionOptions, ServoOptions, Verdict};
 use scopeservo_station::jobs::{
-    Answer, AnyJob, CalibrateInput, CalibrateJob, IdentifyInput, IdentifyJob, RepositionInput,
-    RepositionJob, Request, SaveTargetInput, SaveTargetJob,
+    Answer, AnyJob, CalibrateInput, CalibrateJob, DoctorInput, DoctorJob, IdentifyInput,
+    IdentifyJob, RepositionInput, RepositionJob, Request, SaveTargetInput, SaveTargetJob, Trouble,
 };
-use scopeservo_station::{Ended, JobError, JournalError, Kept, News, Refusal, StationEvent};
+use scopeservo_station::{
+    Ended, JobError, JobId, JobInfo, Journal as _, JournalError, Kept, News, Refusal, StationEvent,
+};
 
 #[test]
 fn one_session_calibrates_stops_repositions_stops_and_repositions_to_the_end_while_others_watch() {
@@ -165,4 +167,49 @@ fn focus_and_calibration_answer_what_is_to_be_kept() {
     let truth = bench.twin.true_calibration(objective).unwrap();
     let scale = made[0].calibration.um_per_px() * truth.kx.abs() * 1e-6;
     assert!((scale - 1.0).abs() < 0.01, "{scale}");
+}
+
+#[test]
+fn a_doctor_tells_each_finding_as_it_is_reached_and_leaves_the_journal_alone() {
+    let bench = bench();
+    let journal = std::sync::Arc::new(scopeservo_station::MemoryJournal::default());
+    let session = bench.session(journal.clone());
+    let ada = session.take_lease("Ada", None).unwrap();
+    // A job that was killed waits.
+    let left = JobInfo {
+        id: JobId(7),
+        kind: "reposition".into(),
+        owner: "Ada".into(),
+    };
+    journal
+        .before_step(&left, 3, &|| Ok(b"{}".to_vec()))
+        .unwrap();
+    for allow_motion in [false, true] {
+        let mut ear = session.listen();
+        let moves = bench.scope.counters().moves;
+        let job = DoctorJob::new(DoctorInput { allow_motion });
+        let found = session.start(&ada, job).unwrap().wait().unwrap().findings;
+        let wrong: Vec<_> = found.iter().filter(|f| !f.is_ok()).collect();
+        assert!(wrong.is_empty(), "{wrong:?}");
+        assert_eq!(found.iter().any(|f| f.of_trial), allow_motion);
+        assert_eq!(bench.scope.counters().moves > moves, allow_motion);
+        let told = drain(&mut ear).0.into_iter().filter_map(|r| match &r.news {
+            News::Station(StationEvent::Found { finding }) => Some((**finding).clone()),
+            _ => None,
+        });
+        assert_eq!(told.collect::<Vec<_>>(), found);
+    }
+    assert_eq!(journal.last().unwrap().0, left);
+    // Trouble is a value: the view's is that too little is to be seen.
+    bench.scope.light().unwrap().set_level(0.0).unwrap();
+    let request: Request = serde_json::from_str(r#"{"job": "doctor", "input": {}}"#).unwrap();
+    let doctor = AnyJob::new(request, |id| Err(id.to_owned())).unwrap();
+    let Ok(Answer::Doctor(found)) = session.start(&ada, doctor).unwrap().wait() else {
+        panic!("a doctor answers");
+    };
+    let trouble = found.findings.into_iter().filter_map(|f| f.trouble);
+    assert_eq!(
+        trouble.collect::<Vec<_>>(),
+        [Trouble::Dark, Trouble::TooLittle]
+    );
 }

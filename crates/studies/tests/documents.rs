@@ -57,7 +57,7 @@ const ALLOWED: [(&str, &[&str]); 16] = [
     ("twin", &["scope", "slide"]),
     ("servo", &["features", "geometry", "registration", "scope"]),
     ("library", &["scope", "servo", "features"]),
-    ("station", &["scope", "servo"]),
+    ("station", &["features", "scope", "servo"]),
     ("report", &["servo", "scope", "geometry", "registration"]),
     (
         "cli",

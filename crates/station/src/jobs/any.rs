@@ -1,9 +1,9 @@
 //! Any of the jobs, for front ends that take them as data, and for stored ones that go on.
 
 use super::{
-    CalibrateInput, CalibrateJob, CalibrateOutput, FocusInput, FocusJob, FocusOutput,
-    IdentifyInput, IdentifyJob, IdentifyOutput, RepositionInput, RepositionJob, RepositionOutput,
-    SaveTargetInput, SaveTargetJob, SaveTargetOutput,
+    CalibrateInput, CalibrateJob, CalibrateOutput, DoctorInput, DoctorJob, DoctorOutput,
+    FocusInput, FocusJob, FocusOutput, IdentifyInput, IdentifyJob, IdentifyOutput, RepositionInput,
+    RepositionJob, RepositionOutput, SaveTargetInput, SaveTargetJob, SaveTargetOutput,
 };
 use crate::{JobError, JournalError, UseCase, Work};
 use scopeservo_servo::{Progress, Target};
@@ -19,6 +19,7 @@ pub enum Request {
     SaveTarget(SaveTargetInput),
     Reposition(RepositionInput),
     Identify(IdentifyInput),
+    Doctor(DoctorInput),
 }
 
 /// What it answers.
@@ -31,6 +32,7 @@ pub enum Answer {
     SaveTarget(Box<SaveTargetOutput>),
     Reposition(RepositionOutput),
     Identify(IdentifyOutput),
+    Doctor(DoctorOutput),
 }
 
 /// A job of any kind. Its state is that of the job itself, so that what was stored comes back by its kind.
@@ -43,6 +45,7 @@ pub enum AnyJob {
     SaveTarget(Box<SaveTargetJob>),
     Reposition(Box<RepositionJob>),
     Identify(Box<IdentifyJob>),
+    Doctor(Box<DoctorJob>),
 }
 
 impl AnyJob {
@@ -59,6 +62,7 @@ impl AnyJob {
             Request::Calibrate(input) => Self::Calibrate(Box::new(CalibrateJob::new(input))),
             Request::SaveTarget(input) => Self::SaveTarget(Box::new(SaveTargetJob::new(input))),
             Request::Identify(input) => Self::Identify(Box::new(IdentifyJob::new(input))),
+            Request::Doctor(input) => Self::Doctor(Box::new(DoctorJob::new(input))),
             Request::Reposition(input) => {
                 let target = target(&input.target_id)?;
                 Self::Reposition(Box::new(RepositionJob::new(target, input)))
@@ -104,6 +108,18 @@ impl UseCase for AnyJob {
             Self::SaveTarget(job) => job.kind(),
             Self::Reposition(job) => job.kind(),
             Self::Identify(job) => job.kind(),
+            Self::Doctor(job) => job.kind(),
+        }
+    }
+
+    fn can_go_on(&self) -> bool {
+        match self {
+            Self::Focus(job) => job.can_go_on(),
+            Self::Calibrate(job) => job.can_go_on(),
+            Self::SaveTarget(job) => job.can_go_on(),
+            Self::Reposition(job) => job.can_go_on(),
+            Self::Identify(job) => job.can_go_on(),
+            Self::Doctor(job) => job.can_go_on(),
         }
     }
 
@@ -116,6 +132,7 @@ impl UseCase for AnyJob {
             }
             Self::Reposition(job) => answer(job.step(work)?, Answer::Reposition),
             Self::Identify(job) => answer(job.step(work)?, Answer::Identify),
+            Self::Doctor(job) => answer(job.step(work)?, Answer::Doctor),
         })
     }
 }

@@ -5,6 +5,7 @@
 
 mod any;
 mod calibrate;
+mod doctor;
 mod focus;
 mod identify;
 mod reposition;
@@ -12,6 +13,9 @@ mod save_target;
 
 pub use any::{Answer, AnyJob, Request};
 pub use calibrate::{CalibrateInput, CalibrateJob, CalibrateOutput};
+pub use doctor::{
+    Check, DoctorInput, DoctorJob, DoctorOutput, Finding, Trouble, look_by_small_moves,
+};
 pub use focus::{FocusInput, FocusJob, FocusOutput};
 pub use identify::{IdentifyInput, IdentifyJob, IdentifyOutput};
 pub use reposition::{RepositionInput, RepositionJob, RepositionOutput};
