@@ -10,7 +10,7 @@ use scopeservo_library::{
 };
 use scopeservo_scope::{CancelToken, Frame, GateEvent, Instrument, Objective};
 use scopeservo_servo::{FrameRole, Sink as _, Stamped};
-use scopeservo_setup::{Config, Consent, Opened, open};
+use scopeservo_setup::{Config, Consent, Opened, connect, home_if_needed};
 use scopeservo_station::{
     Bus, JobState, Lease, News, Parts, Record, Session, StationEvent, UseCase,
 };
@@ -66,7 +66,7 @@ pub(crate) fn rein_in(cancel: &CancelToken, answer: &Answer) -> Reins {
                 // Asked twice: the instrument was told to stop, and nobody waits any longer.
                 Some(_) => leaving.leave(CliError::Left),
                 None if asked >= IMPATIENT => leaving.leave(CliError::Left),
-                // It may be homing, and only who homes can stop that.
+                // A driver may be starting.
                 None => {
                     tell!(
                         "scopeservo: stopping; wait for the instrument, or press Ctrl-C once more to leave it as it is"
@@ -103,7 +103,7 @@ impl Desk {
             instrument,
             drivers,
             ..
-        } = open(&config, &consent, cancel)?;
+        } = connect(&config, &consent, cancel)?;
         let scope = Arc::new(instrument);
         reins.hold(&scope);
         // What lay on the camera when it was seen last.
@@ -118,6 +118,8 @@ impl Desk {
         let waiting = Arc::default();
         let told = listen(&parts.bus, &journal, &waiting);
         let session = Session::new(scope.clone(), parts);
+        // Told like every other motion.
+        home_if_needed(&scope, &consent)?;
         let lease = session
             .take_lease("scopeservo", None)
             .map_err(|e| CliError::Internal(e.to_string()))?;

@@ -73,6 +73,7 @@ impl ViewWriter {
             sequence,
             role,
             objective,
+            ..
         } = &stamped.event
             && let Some(truth) = self.twin.truth(*sequence)
         {

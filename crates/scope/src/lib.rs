@@ -30,6 +30,7 @@ mod nosepiece;
 mod objective_id;
 mod observe;
 mod pose;
+mod reported;
 mod rules;
 mod stage;
 mod still;

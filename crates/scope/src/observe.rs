@@ -1,6 +1,6 @@
 //! What the gate is asked and what it answers, for whoever watches.
 
-use crate::{ObjectiveId, StagePose};
+use crate::{Axis, ObjectiveId, StagePose};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -35,6 +35,26 @@ pub enum GateEvent {
         /// Why.
         why: String,
     },
+    /// The stage began to find its reference, which may move any of its axes anywhere.
+    HomingBegan {
+        /// The axes that it has.
+        axes: Vec<Axis>,
+    },
+    /// Homing did not begin, or was stopped as it began.
+    HomingRefused {
+        /// Why.
+        why: String,
+    },
+    /// The reference was found.
+    HomingEnded {
+        /// Where the stage says it is, each axis.
+        at: StagePose,
+    },
+    /// The reference was not found, or lies where it cannot be.
+    HomingFailed {
+        /// Why.
+        why: String,
+    },
     /// The nosepiece began to turn.
     ChangeBegan {
         /// The objective that was asked for.
@@ -42,6 +62,18 @@ pub enum GateEvent {
     },
     /// The nosepiece did not begin to turn, or was stopped as it began.
     ChangeRefused {
+        /// The objective that was asked for.
+        to: ObjectiveId,
+        /// Why.
+        why: String,
+    },
+    /// The nosepiece ended with the objective in that was asked for.
+    Changed {
+        /// The objective in the beam.
+        to: ObjectiveId,
+    },
+    /// The nosepiece ended otherwise.
+    NotChanged {
         /// The objective that was asked for.
         to: ObjectiveId,
         /// Why.

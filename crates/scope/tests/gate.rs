@@ -832,8 +832,21 @@ fn after_a_change_it_comes_back_in_allowed_steps_and_short_of_an_unknown_focus()
     scope.move_to(&z(1e-3)).unwrap();
     let height = || scope.gate().position().unwrap().si(Axis::Z).unwrap();
     // 8 mm back where 6 are allowed at a time, and a millimetre short: 40x was never in focus.
+    let told: Arc<Mutex<Vec<GateEvent>>> = Arc::default();
+    let ear = told.clone();
+    scope
+        .gate()
+        .observe(Some(Arc::new(move |e| ear.lock().unwrap().push(e))));
     scope.select_objective(&id("40x")).unwrap();
     assert!(height().abs() < 1e-9, "{}", height());
+    // All of it is told: away, the change, and back.
+    let told = std::mem::take(&mut *told.lock().unwrap());
+    let change = |e: &GateEvent| matches!(e, GateEvent::ChangeBegan { to } if *to == id("40x"));
+    let at = told.iter().position(change).unwrap();
+    assert_eq!(told[at + 1], GateEvent::Changed { to: id("40x") });
+    let arrived = |e: &&GateEvent| matches!(e, GateEvent::Arrived { .. });
+    let moves = [&told[..at], &told[at..]].map(|part| part.iter().filter(arrived).count());
+    assert!(moves[0] >= 1 && moves[1] >= 1, "{told:?}");
     // Where both were in focus the difference counts.
     scope.focus_found(&id("10x"), Length::from_um(200.0));
     scope.focus_found(&id("40x"), Length::from_um(-300.0));

@@ -1,9 +1,9 @@
 //! Homing goes through the gate like every other motion.
 
 use scopeservo_scope::{
-    Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, Devices, ErrorKind, Instrument,
-    Kinematics, Limits, Motion, PositiveZ, Rules, ScopeError, Stage, StageInfo, StagePose,
-    Timestamp, VirtualClock,
+    Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, Devices, ErrorKind, GateEvent,
+    Instrument, Kinematics, Limits, Motion, PositiveZ, Rules, ScopeError, Stage, StageInfo,
+    StagePose, Timestamp, VirtualClock,
 };
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
@@ -176,6 +176,72 @@ fn what_homing_does_not_find_or_cannot_be_is_a_fault() {
         matches!(fault, Err(ScopeError::ImpossiblePlace { .. })),
         "{fault:?}"
     );
+}
+
+/// What the gate tells.
+fn heard(scope: &Instrument) -> Arc<Mutex<Vec<GateEvent>>> {
+    let told: Arc<Mutex<Vec<GateEvent>>> = Arc::default();
+    let ear = told.clone();
+    scope
+        .gate()
+        .observe(Some(Arc::new(move |e| ear.lock().unwrap().push(e))));
+    told
+}
+
+#[test]
+fn homing_is_told_from_its_beginning_to_its_end() {
+    let clock = || Arc::new(VirtualClock::new());
+    let began = || GateEvent::HomingBegan {
+        axes: vec![Axis::X],
+    };
+    let scope = Lost::new(0.5e-3, true).instrument(&CancelToken::new(), clock());
+    let told = heard(&scope);
+    assert_eq!(scope.gate().last_reported(), None);
+    let at = scope.home().unwrap();
+    assert_eq!(
+        *told.lock().unwrap(),
+        [began(), GateEvent::HomingEnded { at }]
+    );
+    assert_eq!(scope.gate().last_reported(), Some(at));
+    // One that has nothing to begin with, and one that finds nothing.
+    let cancel = CancelToken::new();
+    let scope = Lost::new(0.0, false).instrument(&cancel, clock());
+    let told = heard(&scope);
+    scope.home().unwrap_err();
+    cancel.cancel();
+    scope.gate().start_homing().unwrap_err();
+    let told = told.lock().unwrap();
+    assert!(
+        matches!(
+            &told[..],
+            [
+                first,
+                GateEvent::Stopped { .. },
+                GateEvent::HomingFailed { .. },
+                GateEvent::HomingRefused { .. }
+            ] if *first == began()
+        ),
+        "{told:?}"
+    );
+}
+
+#[test]
+fn a_place_that_was_reported_counts_until_the_stage_departs() {
+    let scope =
+        Lost::new(1e-3, true).instrument(&CancelToken::new(), Arc::new(VirtualClock::new()));
+    let gate = scope.gate();
+    scope.home().unwrap();
+    assert_eq!(gate.last_reported(), Some(x(1.0)));
+    gate.start_move(&x(5.0)).unwrap();
+    // Asked on the way it is nowhere to stay.
+    assert_eq!(gate.position().unwrap(), x(5.0));
+    assert_eq!(gate.last_reported(), None);
+    assert_eq!(gate.poll().unwrap(), Motion::Settled);
+    gate.arrived().unwrap();
+    assert_eq!(gate.last_reported(), Some(x(5.0)));
+    // A move that is refused has not begun.
+    gate.start_move(&x(20.0)).unwrap_err();
+    assert_eq!(gate.last_reported(), Some(x(5.0)));
 }
 
 /// A clock on which somebody asks for a stop as soon as anybody waits.

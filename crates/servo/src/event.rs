@@ -71,6 +71,16 @@ pub enum Event {
         role: FrameRole,
         /// The objective in the beam.
         objective: ObjectiveId,
+        /// When the exposure began, seconds on the instrument's clock. Logs of earlier versions do not tell.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        exposure_start_s: Option<f64>,
+        /// How long it lasted, s, where the camera tells.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        exposure_s: Option<f64>,
+        /// Where the stage stood, by what it last said at rest: m and rad, its own axes. `None` when it moved meanwhile, or had not been asked
+        /// since it last moved.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        stage: Option<StagePose>,
     },
     /// The sharpness at one height.
     FocusSample {
@@ -211,4 +221,24 @@ pub(crate) fn tell(scope: &Instrument, sink: &mut dyn Sink, event: Event) {
         time_s: scope.clock().now().seconds(),
         event,
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_of_before_frames_told_their_pose_is_still_read() {
+        let old = r#"{"time_s": 1.5, "event": "frame_grabbed", "sequence": 7, "role": "servo", "objective": "40x"}"#;
+        let grabbed: Stamped = serde_json::from_str(old).unwrap();
+        let expected = Event::FrameGrabbed {
+            sequence: 7,
+            role: FrameRole::Servo,
+            objective: ObjectiveId("40x".into()),
+            exposure_start_s: None,
+            exposure_s: None,
+            stage: None,
+        };
+        assert_eq!(grabbed.event, expected);
+    }
 }

@@ -56,19 +56,24 @@ impl VisionOptions {
     }
 }
 
-/// Grabs a fresh frame and tells of it.
+/// Grabs a fresh frame and tells of it. The stage is not asked for that where it stands, which may be a round trip for each frame: who
+/// needs the place has just asked, and the gate remembers what was said.
 pub(crate) fn grab(
     scope: &Instrument,
     sink: &mut dyn Sink,
     role: FrameRole,
     objective: &ObjectiveId,
 ) -> Result<Arc<Frame>, ServoError> {
+    let stood = scope.gate().last_reported();
     let frame = Arc::new(scope.grab()?);
     sink.shared_frame(&frame, role);
     let event = Event::FrameGrabbed {
         sequence: frame.sequence,
         role,
         objective: objective.clone(),
+        exposure_start_s: Some(frame.exposure_start.seconds()),
+        exposure_s: (!frame.exposure.is_zero()).then(|| frame.exposure.as_secs_f64()),
+        stage: stood.filter(|at| scope.gate().last_reported().as_ref() == Some(at)),
     };
     tell(scope, sink, event);
     Ok(frame)

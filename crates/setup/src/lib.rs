@@ -19,6 +19,6 @@ pub use by_hand::Ask;
 pub use config::{Config, DeviceName, DriverConfig, ObjectiveConfig};
 pub use error::SetupError;
 pub use held::Held;
-pub use open::{Consent, Opened, open};
+pub use open::{Consent, Opened, connect, home_if_needed, open};
 pub use simulated::{TwinConfig, TwinStage};
 pub use template::{TEMPLATE, TWIN_TEMPLATE, schema};

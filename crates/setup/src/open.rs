@@ -37,12 +37,38 @@ pub struct Opened {
     pub drivers: Vec<(String, String)>,
 }
 
-/// Takes the instrument for this program alone, finds the drivers, puts the devices together behind their gate, and sets exposure and light. Nothing moves, but for homing that
-/// is needed and was agreed to. `cancel` ends procedures and homing.
+/// [`connect`] and [`home_if_needed`] in one.
 ///
 /// # Errors
-/// [`SetupError`]; [`ScopeError::NotHomed`] within it when homing is needed and was not agreed to.
+/// Those of both.
 pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<Opened, SetupError> {
+    let opened = connect(config, consent, cancel)?;
+    home_if_needed(&opened.instrument, consent)?;
+    Ok(opened)
+}
+
+/// Lets the stage find its reference where it does not know where it is and the user agreed to that.
+///
+/// # Errors
+/// [`ScopeError::NotHomed`] when it is needed and was not agreed to; those of [`Instrument::home`].
+pub fn home_if_needed(scope: &Instrument, consent: &Consent) -> Result<(), SetupError> {
+    match (scope.gate().is_homed()?, consent.home) {
+        (true, _) => Ok(()),
+        (false, true) => Ok(scope.home().map(drop)?),
+        (false, false) => Err(ScopeError::NotHomed { device: "stage" }.into()),
+    }
+}
+
+/// Takes the instrument for this program alone, finds the drivers, puts the devices together behind their gate, and sets exposure and light.
+/// Nothing moves. `cancel` ends what is done with the instrument.
+///
+/// # Errors
+/// [`SetupError`].
+pub fn connect(
+    config: &Config,
+    consent: &Consent,
+    cancel: CancelToken,
+) -> Result<Opened, SetupError> {
     let held = Held::take(config)?;
     let hurried = |d: &DriverConfig| d.twin.as_ref().is_some_and(|t| !t.real_time);
     // Somebody who turns a nosepiece does so in real time.
@@ -102,12 +128,6 @@ pub fn open(config: &Config, consent: &Consent, cancel: CancelToken) -> Result<O
         clock,
     };
     let scope = Instrument::new(devices, rules, cancel)?.keeping(held);
-    if !scope.gate().is_homed()? {
-        if !consent.home {
-            return Err(ScopeError::NotHomed { device: "stage" }.into());
-        }
-        scope.home()?;
-    }
     set(config, &scope)?;
     let drivers = all
         .iter()

@@ -143,6 +143,9 @@ mod tests {
             sequence: 7,
             role: FrameRole::Servo,
             objective,
+            exposure_start_s: Some(1.25),
+            exposure_s: Some(0.01),
+            stage: Some(scopeservo_scope::StagePose::default()),
         };
         let to = scopeservo_scope::StagePose::default();
         let error = scopeservo_scope::ScopeError::NotHomed { device: "stage" };

@@ -3,6 +3,7 @@
 mod common;
 
 use common::{PLACE_UM, Watched, bench, drain};
+use scopeservo_scope::Axis;
 use scopeservo_servo::{Event, FocusOptions, RepositionOptions, ServoOptions, Verdict};
 use scopeservo_station::jobs::{
     Answer, AnyJob, CalibrateInput, CalibrateJob, DoctorInput, DoctorJob, IdentifyInput,
@@ -153,6 +154,7 @@ fn focus_and_calibration_answer_what_is_to_be_kept() {
         panic!("{focused:?}");
     };
     let z_um = focused.result.z_um.unwrap();
+    let mut ear = session.bus().listen_from(0);
     let calibrate = CalibrateJob::new(CalibrateInput::default());
     let job = session.start(&ada, calibrate).unwrap();
     let handle = job.handle().clone();
@@ -163,6 +165,30 @@ fn focus_and_calibration_answer_what_is_to_be_kept() {
         [Kept::Calibration(Box::new(made[0].clone()))]
     );
     assert!((made[0].focus_z_um.unwrap() - z_um).abs() < 5.0);
+    // Each frame is told with when it was exposed and where the stage stood, so that a log can be replayed.
+    let (told, missed) = drain(&mut ear);
+    let mut frames = 0;
+    for record in &told {
+        if let News::Procedure(event) = &record.news
+            && let Event::FrameGrabbed {
+                exposure_start_s,
+                exposure_s,
+                stage,
+                ..
+            } = &**event
+        {
+            frames += 1;
+            let began = exposure_start_s.unwrap();
+            let lasted = exposure_s.unwrap();
+            assert!(began + lasted <= record.time_s && record.time_s - began < 1.0);
+            let z = stage.and_then(|at| at.si(Axis::Z));
+            assert!(z.is_some(), "{event:?}");
+        }
+    }
+    assert!(
+        frames > 20 && missed == 0,
+        "{frames} frames, {missed} missed"
+    );
     let objective = &made[0].calibration.objective;
     let truth = bench.twin.true_calibration(objective).unwrap();
     let scale = made[0].calibration.um_per_px() * truth.kx.abs() * 1e-6;

@@ -183,6 +183,9 @@ impl Teller {
             sequence: self.sequence,
             role,
             objective: ObjectiveId(objective.into()),
+            exposure_start_s: None,
+            exposure_s: None,
+            stage: None,
         };
         self.tell(0.03, event);
         self.sequence

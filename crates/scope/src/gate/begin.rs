@@ -37,6 +37,7 @@ impl MotionGate {
         let judge = self.judge(&in_beam);
         judge.check_goal(&here, to)?;
         judge.check_way(&here, to)?;
+        self.reported.departs();
         self.begun(self.stage.start_move(to))?;
         self.begun_way(Way::Between {
             from: here,
@@ -52,10 +53,24 @@ impl MotionGate {
     /// [`ScopeError::Busy`] while stage or nosepiece move, [`ScopeError::Interrupted`] when somebody stopped meanwhile;
     /// [`ScopeError::Refused`] where there is nothing to find; and what the devices report.
     pub fn start_homing(&self) -> Result<(), ScopeError> {
+        let begun = self.begin_homing();
+        self.tell(|| match &begun {
+            Ok(()) => GateEvent::HomingBegan {
+                axes: self.info().axes.iter().map(|info| info.axis).collect(),
+            },
+            Err(why) => GateEvent::HomingRefused {
+                why: why.to_string(),
+            },
+        });
+        begun
+    }
+
+    fn begin_homing(&self) -> Result<(), ScopeError> {
         let _begin = self.begin();
         let stops = self.stops.load(Ordering::SeqCst);
         self.check_cancel()?;
         self.check_idle()?;
+        self.reported.departs();
         self.begun(self.stage.start_homing())?;
         self.begun_way(Way::Homing);
         self.stopped_meanwhile(stops)
@@ -126,7 +141,7 @@ impl MotionGate {
             Motion::Settled | Motion::Stopped => Ok(()),
         };
         idle(self.nosepiece.poll()?, "nosepiece")?;
-        idle(self.stage.poll()?, "stage")
+        idle(self.poll()?, "stage")
     }
 
     /// Of a stage that does not know where it is nobody knows what a move would do, nor how far it is from the specimen.

@@ -10,6 +10,7 @@ pub use obeying::Obeying;
 pub use state::AtWork;
 
 use crate::knowledge::Knowledge;
+use crate::reported::Reported;
 use crate::{
     AxisRange, CancelToken, GateEvent, Nosepiece, ObjectiveId, Observer, PositiveZ, Rules,
     ScopeError, Stage, StageInfo, StagePose,
@@ -40,6 +41,7 @@ pub struct MotionGate {
     begin: Mutex<()>,
     /// What was begun last.
     way: Mutex<Option<Way>>,
+    reported: Reported,
     stops: AtomicU64,
     knowledge: Knowledge,
     /// Once cancelled, nothing begins any more.
@@ -75,6 +77,7 @@ impl MotionGate {
             ranges,
             begin: Mutex::new(()),
             way: Mutex::new(None),
+            reported: Reported::default(),
             stops: AtomicU64::new(0),
             knowledge,
             cancel: CancelToken::new(),
@@ -108,7 +111,7 @@ impl MotionGate {
         *self.observer.lock().unwrap_or_else(|e| e.into_inner()) = observer;
     }
 
-    fn tell(&self, event: impl FnOnce() -> GateEvent) {
+    pub(crate) fn tell(&self, event: impl FnOnce() -> GateEvent) {
         let observer = self.observer.lock();
         let observer = observer.unwrap_or_else(|e| e.into_inner()).clone();
         if let Some(observer) = observer {

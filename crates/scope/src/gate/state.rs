@@ -24,7 +24,7 @@ impl MotionGate {
     /// # Errors
     /// What the stage reports; [`ScopeError::ImpossiblePlace`] when that is where it cannot be by what it says of itself.
     pub fn position(&self) -> Result<StagePose, ScopeError> {
-        let at = self.stage.position()?;
+        let at = self.reported.place(|| self.stage.position())?;
         for info in &self.info().axes {
             let axis = info.axis;
             let si = at.si(axis).unwrap_or(f64::NAN);
@@ -42,6 +42,12 @@ impl MotionGate {
         Ok(at)
     }
 
+    /// Where the stage stands by what it last said at rest; `None` when a motion has begun since, or nobody has asked it yet. Nothing is
+    /// asked of the stage.
+    pub fn last_reported(&self) -> Option<StagePose> {
+        self.reported.last()
+    }
+
     /// Whether the stage knows where it is.
     ///
     /// # Errors
@@ -52,7 +58,7 @@ impl MotionGate {
 
     /// What the stage is doing.
     pub fn poll(&self) -> Result<Motion, ScopeError> {
-        self.stage.poll()
+        self.reported.motion(|| self.stage.poll())
     }
 
     /// What the nosepiece is doing.

@@ -44,17 +44,31 @@ impl MotionGate {
             // Why is the news.
             let _ = self.stop();
         }
-        self.tell(|| match &answer {
-            Ok(at) => GateEvent::Arrived { at: *at },
-            Err(why) => GateEvent::NotArrived {
-                why: why.to_string(),
-            },
-        });
+        match &answer {
+            Ok(at) => self.tell(|| match self.way() {
+                Some(Way::Homing) => GateEvent::HomingEnded { at: *at },
+                _ => GateEvent::Arrived { at: *at },
+            }),
+            Err(why) => self.tell_not_arrived(why),
+        }
         answer
     }
 
+    /// Tells that the last motion of the stage did not end where it should.
+    pub(crate) fn tell_not_arrived(&self, why: &ScopeError) {
+        let why = why.to_string();
+        self.tell(|| match self.way() {
+            Some(Way::Homing) => GateEvent::HomingFailed { why },
+            _ => GateEvent::NotArrived { why },
+        });
+    }
+
+    fn way(&self) -> Option<Way> {
+        *self.way.lock().unwrap_or_else(|e| e.into_inner())
+    }
+
     fn judge_arrival(&self) -> Result<StagePose, ScopeError> {
-        let way = *self.way.lock().unwrap_or_else(|e| e.into_inner());
+        let way = self.way();
         if matches!(way, Some(Way::Homing)) && !self.stage.is_homed()? {
             return Err(ScopeError::Device {
                 device: "stage",

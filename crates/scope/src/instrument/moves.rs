@@ -24,9 +24,7 @@ impl Instrument {
         self.moves.fetch_add(1, Ordering::SeqCst);
         match self.wait("stage", MOVE_TIMEOUT, || self.gate.poll())? {
             Motion::Settled => self.gate.arrived(),
-            _ => Err(ScopeError::MoveAborted {
-                at: self.gate.position().ok(),
-            }),
+            _ => Err(self.aborted(self.gate.position().ok())),
         }
     }
 
@@ -41,8 +39,15 @@ impl Instrument {
         self.gate.start_homing().map_err(|e| self.seen(e))?;
         match self.wait("stage", HOMING_TIMEOUT, || self.gate.poll())? {
             Motion::Settled => self.gate.arrived(),
-            _ => Err(ScopeError::MoveAborted { at: None }),
+            _ => Err(self.aborted(None)),
         }
+    }
+
+    /// A motion that ended before its goal, and not because we stopped it.
+    fn aborted(&self, at: Option<StagePose>) -> ScopeError {
+        let error = ScopeError::MoveAborted { at };
+        self.gate.tell_not_arrived(&error);
+        error
     }
 
     /// Another command begins: what fails from now on goes back to the height at which its first move will find the stage. A new

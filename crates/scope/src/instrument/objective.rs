@@ -1,7 +1,7 @@
 //! The change of objective: retract, turn, come back.
 
 use super::Instrument;
-use crate::{Axis, ChangeRule, Motion, ObjectiveId, ScopeError, StagePose};
+use crate::{Axis, ChangeRule, GateEvent, Motion, ObjectiveId, ScopeError, StagePose};
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
@@ -72,6 +72,19 @@ impl Instrument {
         self.gate.start_change(id).map_err(|e| self.seen(e))?;
         self.objective_changes.fetch_add(1, Ordering::SeqCst);
         let settled = self.wait("nosepiece", CHANGE_TIMEOUT, || self.gate.poll_nosepiece())?;
+        let turned = self.check_turned(id, settled);
+        let to = id.clone();
+        self.gate.tell(|| match &turned {
+            Ok(()) => GateEvent::Changed { to },
+            Err(why) => GateEvent::NotChanged {
+                to,
+                why: why.to_string(),
+            },
+        });
+        turned
+    }
+
+    fn check_turned(&self, id: &ObjectiveId, settled: Motion) -> Result<(), ScopeError> {
         if settled == Motion::Stopped {
             return Err(ScopeError::ChangeEnded {
                 asked: id.clone(),
