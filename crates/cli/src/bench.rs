@@ -1,24 +1,28 @@
-//! The demo's bench: a simulated microscope with a slide on it, the saving of the target, and the displacing of the slide.
+//! The demo's bench: a simulated microscope at a station of its own, the saving of the target, and the displacing of the slide.
 
 use crate::answer::Answer;
 use crate::args::{DemoArgs, Noise};
+use crate::console::{Console, Late, Told};
 use crate::desk::rein_in;
 use crate::error::CliError;
 use crate::progress::Watcher;
 use crate::scene::{self, Scene};
-use scopeservo_scope::{CancelToken, Clock, Frame, Instrument, VirtualClock};
+use scopeservo_scope::{CancelToken, Clock, Instrument, ObjectiveId, VirtualClock};
 use scopeservo_servo::{
-    Event, Focus, FocusOptions, FrameRole, NoSink, Reason, SaveOptions, SaveTarget, ServoError,
-    Sink, Stamped, Target, VisionOptions,
+    Event, FocusOptions, FrameRole, Progress, Reason, ServoError, Target, VisionOptions,
 };
+use scopeservo_station::jobs::{SaveTargetInput, SaveTargetJob, SaveTargetOutput};
+use scopeservo_station::{JobError, MemoryJournal, News, UseCase, Work};
 use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
 use scopeservo_twin::{Config, Truth, Twin};
+use serde::Serialize;
 use std::sync::Arc;
 
 /// The simulated bench: a microscope with the slide on it, and what only the simulation knows.
 pub(crate) struct Bench {
     pub(crate) twin: Twin,
     pub(crate) scope: Arc<Instrument>,
+    pub(crate) console: Console,
     pub(crate) specimen: Arc<dyn Specimen>,
     pub(crate) scene: Scene,
 }
@@ -42,81 +46,89 @@ impl Bench {
         let scope = Instrument::new(twin.devices(), twin.rules(), cancel)?;
         let scope = Arc::new(scope);
         reins.hold(&scope);
+        // Nothing of it outlives the program. Each view may be kept, and none is left out.
+        let journal = Arc::new(MemoryJournal::default());
+        let console = Console::new(&scope, journal, Late::WaitedFor, |_| {})?;
         Ok(Bench {
             twin,
             scope,
+            console,
             specimen,
             scene,
         })
     }
 }
 
-/// Saves the target: the highest magnification, focused, over the scene's place. The inner error is that of a focus over
-/// nothing: an answer, not a fault.
+/// Brings an objective into the beam and does no more: the slide is laid under it.
+#[derive(Serialize)]
+struct Turn {
+    to: ObjectiveId,
+}
+
+impl UseCase for Turn {
+    type Output = ();
+
+    fn kind(&self) -> &'static str {
+        "turn"
+    }
+
+    fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<()>, JobError> {
+        work.scope().select_objective(&self.to)?;
+        Ok(Progress::Done(()))
+    }
+}
+
+/// Saves the target: the highest magnification, focused, over the scene's place. The inner error is that of a view with nothing to
+/// save: an answer, not a fault.
 pub(crate) fn save_target(
     bench: &Bench,
     vision: &VisionOptions,
     watcher: &mut Watcher,
 ) -> Result<Result<(Target, Truth), ServoError>, CliError> {
-    let scope = &*bench.scope;
-    let best = scope
+    let best = bench
+        .scope
         .gate()
         .objectives()
         .iter()
         .max_by(|a, b| a.magnification.total_cmp(&b.magnification))
-        .cloned()
         .ok_or_else(|| CliError::Internal("the simulated nosepiece is empty".into()))?;
-    scope.select_objective(&best.id)?;
+    let turn = Turn {
+        to: best.id.clone(),
+    };
+    bench.console.follow(turn, |_| {})??;
     bench.twin.centre_specimen(bench.scene.target_um, 0.0);
-    let mut focus = Focus::new(best, FocusOptions::default());
-    // The sweep before saving is not part of the run that the report tells of.
-    match scopeservo_servo::run(&mut focus, scope, &mut NoSink) {
-        Ok(_) => {}
-        Err(error @ ServoError::NoFocus { .. }) => return Ok(Err(error)),
-        Err(error) => return Err(error.into()),
-    }
-    let mut save = SaveTarget::new(SaveOptions {
+    let save = SaveTargetJob::new(SaveTargetInput {
+        focus: Some(FocusOptions::default()),
         vision: vision.clone(),
-        ..SaveOptions::default()
+        ..SaveTargetInput::default()
     });
-    let mut sink = OnlyTheTarget {
-        watcher,
-        sequence: None,
+    // Of the saving, the report shows the target: the sweep and the step aside are not part of the run that it tells of.
+    let saved = bench.console.follow(save, |told| {
+        if is_of_the_target(&told) {
+            told.show(watcher);
+        }
+    })?;
+    let SaveTargetOutput { target, frame, .. } = match saved {
+        Ok(saved) => saved,
+        Err(CliError::Servo(error)) if Reason::of(&error).is_some() => return Ok(Err(error)),
+        Err(error) => return Err(error),
     };
-    let saved = scopeservo_servo::run(&mut save, scope, &mut sink);
-    let sequence = sink.sequence;
-    let target = match saved {
-        Ok(target) => target,
-        Err(error) if Reason::of(&error).is_some() => return Ok(Err(error)),
-        Err(error) => return Err(error.into()),
-    };
-    let truth = sequence
-        .and_then(|sequence| bench.twin.truth(sequence))
+    let truth = frame.and_then(|frame| bench.twin.truth(frame.sequence));
+    let truth = truth
         .ok_or_else(|| CliError::Internal("the simulation forgot the target's pose".into()))?;
     Ok(Ok((target, truth)))
 }
 
-/// Of the saving, the report shows the target: the step aside is not part of the run that it tells of.
-struct OnlyTheTarget<'a> {
-    watcher: &'a mut Watcher,
-    sequence: Option<u64>,
-}
-
-impl Sink for OnlyTheTarget<'_> {
-    fn event(&mut self, stamped: Stamped) {
-        if let Event::FrameGrabbed {
-            role: FrameRole::Target,
-            ..
-        } = stamped.event
-        {
-            self.watcher.event(stamped);
-        }
-    }
-    fn frame(&mut self, frame: &Frame, role: FrameRole) {
-        if role == FrameRole::Target {
-            self.sequence = Some(frame.sequence);
-            self.watcher.frame(frame, role);
-        }
+fn is_of_the_target(told: &Told) -> bool {
+    match told {
+        Told::Frame(_, role) => *role == FrameRole::Target,
+        Told::Event(record) => matches!(
+            &record.news,
+            News::Procedure(event) if matches!(
+                &**event,
+                Event::FrameGrabbed { role: FrameRole::Target, .. }
+            )
+        ),
     }
 }
 

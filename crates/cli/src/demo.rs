@@ -6,15 +6,15 @@ use crate::bench::{Bench, displace, save_target};
 use crate::error::CliError;
 use crate::output::{self, DemoJson};
 use crate::progress::Watcher;
-use crate::threads::with_threads;
+use crate::threads::take_threads;
 use crate::views::{ViewWriter, clear_earlier_run, keep_json, keep_report, try_out};
 use scopeservo_features::Engine;
 use scopeservo_report as report;
 use scopeservo_scope::{Instrument, ObjectiveId};
 use scopeservo_servo::{
-    Event, Outcome, Reason, Reposition, RepositionOptions, ServoError, ServoOptions, Sink, Stamped,
-    Verdict,
+    Event, Outcome, Reason, RepositionOptions, ServoError, ServoOptions, Sink, Stamped, Verdict,
 };
+use scopeservo_station::jobs::{RepositionInput, RepositionJob};
 use scopeservo_twin::Truth;
 use serde_json::json;
 use std::path::PathBuf;
@@ -27,7 +27,8 @@ const MAX_SHIFT_UM: f64 = 1e5;
 
 pub(crate) fn run(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
     check(args)?;
-    with_threads(args.threads, || demo(args, answer))
+    take_threads(args.threads)?;
+    demo(args, answer)
 }
 
 fn check(args: &DemoArgs) -> Result<(), CliError> {
@@ -101,9 +102,15 @@ fn demo(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
     let (outcome, target_truth) = match saved {
         Ok((target, truth)) => {
             displace(&bench);
-            let mut run = Reposition::new(target, options);
-            let outcome = scopeservo_servo::run(&mut run, scope, &mut watcher);
-            (outcome.inspect_err(|_| watcher.finish())?, Some(truth))
+            let input = RepositionInput {
+                target_id: "demo".into(),
+                options,
+                ..RepositionInput::default()
+            };
+            let job = RepositionJob::new(target, input);
+            let ran = bench.console.follow(job, |told| told.show(&mut watcher))?;
+            let output = ran.inspect_err(|_| watcher.finish())?;
+            (output.outcome, Some(truth))
         }
         Err(error) => (nothing_to_save(&error, scope, &mut watcher), None),
     };

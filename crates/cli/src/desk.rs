@@ -2,20 +2,17 @@
 
 use crate::answer::Answer;
 use crate::args::InstrumentArgs;
+use crate::console::{Console, Late, Told};
 use crate::error::{CliError, Code};
 use crate::journal::{self, Asked, FileJournal, Made};
 use crate::progress::Watcher;
 use scopeservo_library::{
     Cameras as _, Folder, Journal as _, Journalled, RunHead, RunLog, Runs as _,
 };
-use scopeservo_scope::{CancelToken, Frame, GateEvent, Instrument, Objective};
-use scopeservo_servo::{FrameRole, Sink as _, Stamped};
+use scopeservo_scope::{CancelToken, GateEvent, Instrument, Objective};
 use scopeservo_setup::{Config, Consent, Opened, connect, home_if_needed};
-use scopeservo_station::{
-    Bus, JobState, Lease, News, Parts, Record, Session, StationEvent, UseCase,
-};
+use scopeservo_station::{News, StationEvent, UseCase};
 use std::io::{BufRead, IsTerminal};
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 use std::time::Duration;
@@ -26,12 +23,8 @@ pub(crate) struct Desk {
     pub(crate) library: Arc<Folder>,
     pub(crate) scope: Arc<Instrument>,
     pub(crate) drivers: Vec<(String, String)>,
-    session: Session,
-    lease: Lease,
+    pub(crate) console: Console,
     journal: Arc<FileJournal>,
-    told: Receiver<Told>,
-    /// Frames that were told and not taken yet.
-    waiting: Arc<AtomicUsize>,
 }
 
 /// What Ctrl-C stops; nothing until an instrument is there.
@@ -111,28 +104,21 @@ impl Desk {
         let seen = library.shadows(&config.name, [info.width, info.height]);
         scope.set_flat_field(answer.or_warn(seen).flatten().map(Arc::new));
         let journal = Arc::new(FileJournal::new(&library, &config.name, &scope));
-        let parts = Parts {
-            journal: journal.clone(),
-            ..Parts::default()
-        };
-        let waiting = Arc::default();
-        let told = listen(&parts.bus, &journal, &waiting);
-        let session = Session::new(scope.clone(), parts);
+        let goes = journal.clone();
+        let console = Console::new(&scope, journal.clone(), Late::LeftOut, move |record| {
+            if let News::Gate(GateEvent::MoveAsked { to }) = &record.news {
+                goes.goes(to);
+            }
+        })?;
         // Told like every other motion.
         home_if_needed(&scope, &consent)?;
-        let lease = session
-            .take_lease("scopeservo", None)
-            .map_err(|e| CliError::Internal(e.to_string()))?;
         Ok(Self {
             config,
             library,
             scope,
             drivers,
-            session,
-            lease,
+            console,
             journal,
-            told,
-            waiting,
         })
     }
 
@@ -172,22 +158,14 @@ impl Desk {
         };
         self.journal.comes(case.kind(), asked);
         let mut record = answer.or_warn(self.library.begin_run(&head));
-        let output = self.follow(case, |told| match told {
-            Told::Frame(frame, role) => watcher.frame(&frame, role),
-            Told::Event(news) => {
-                if let (Some(record), Ok(line)) = (&mut record, serde_json::to_string(&*news)) {
-                    record.event(&line);
-                }
-                match &news.news {
-                    News::Procedure(event) => watcher.event(Stamped {
-                        time_s: news.time_s,
-                        event: (**event).clone(),
-                    }),
-                    News::Station(StationEvent::NotKept { why, .. }) => {
-                        answer.warn(Code::NotKept, why);
-                    }
-                    _ => {}
-                }
+        let output = self.console.follow(case, |told| {
+            told.show(watcher);
+            let Told::Event(news) = told else { return };
+            if let (Some(record), Ok(line)) = (&mut record, serde_json::to_string(&*news)) {
+                record.event(&line);
+            }
+            if let News::Station(StationEvent::NotKept { why, .. }) = &news.news {
+                answer.warn(Code::NotKept, why);
             }
         })?;
         watcher.finish();
@@ -199,45 +177,6 @@ impl Desk {
             made: self.journal.made(),
             record,
         })
-    }
-
-    /// Runs a job to its end, and hands on all that it tells. The inner error is the job's.
-    pub(crate) fn follow<U: UseCase>(
-        &self,
-        case: U,
-        mut hear: impl FnMut(Told),
-    ) -> Result<Result<U::Output, CliError>, CliError> {
-        let job = self.session.start(&self.lease, case);
-        let job = job.map_err(|e| CliError::Internal(e.to_string()))?;
-        let id = job.handle().id();
-        let is_end = |told: &Told| match told {
-            Told::Event(record) => matches!(
-                &record.news,
-                News::Station(StationEvent::JobEnded { id: ended, .. }) if *ended == id
-            ),
-            Told::Frame(..) => false,
-        };
-        loop {
-            match self.told.recv_timeout(LOOK) {
-                Ok(told) => {
-                    let ended = is_end(&told);
-                    if let Told::Frame(..) = told {
-                        self.waiting.fetch_sub(1, Ordering::SeqCst);
-                    }
-                    hear(told);
-                    if ended {
-                        break;
-                    }
-                }
-                Err(RecvTimeoutError::Timeout) => {
-                    if let JobState::Ended(_) = job.state() {
-                        break;
-                    }
-                }
-                Err(RecvTimeoutError::Disconnected) => break,
-            }
-        }
-        Ok(job.wait().map_err(CliError::from))
     }
 }
 
@@ -264,34 +203,6 @@ impl<T> Ran<T> {
         }
         self.output
     }
-}
-
-/// What comes from the job's thread.
-pub(crate) enum Told {
-    Event(Arc<Record>),
-    Frame(Arc<Frame>, FrameRole),
-}
-
-/// So many frames wait to be shown at most: what comes while they do is not shown.
-const FRAMES: usize = 16;
-
-/// Hands on all events, and frames as far as they are taken; the target is never left out.
-fn listen(bus: &Bus, journal: &Arc<FileJournal>, waiting: &Arc<AtomicUsize>) -> Receiver<Told> {
-    let (tell, told) = mpsc::channel();
-    let (frames, goes, waiting) = (tell.clone(), journal.clone(), waiting.clone());
-    bus.keep(Arc::new(move |record| {
-        if let News::Gate(GateEvent::MoveAsked { to }) = &record.news {
-            goes.goes(to);
-        }
-        let _ = tell.send(Told::Event(record.clone()));
-    }));
-    bus.keep_frames(Arc::new(move |frame, role| {
-        if role == FrameRole::Target || waiting.load(Ordering::SeqCst) < FRAMES {
-            waiting.fetch_add(1, Ordering::SeqCst);
-            let _ = frames.send(Told::Frame(frame.clone(), role));
-        }
-    }));
-    told
 }
 
 /// Lines typed at the terminal. One reader for all questions: one that was given up would otherwise eat the answer to the next.

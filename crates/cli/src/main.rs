@@ -8,6 +8,7 @@ mod answer;
 mod args;
 mod bench;
 mod commands;
+mod console;
 mod demo;
 mod desk;
 mod doctor;

@@ -4,7 +4,8 @@ mod words;
 
 use crate::answer::Answer;
 use crate::args::DoctorArgs;
-use crate::desk::{Desk, Told};
+use crate::console::Told;
+use crate::desk::Desk;
 use crate::error::{CliError, Code};
 use scopeservo_library::{Calibrations as _, Targets as _};
 use scopeservo_scope::conformance;
@@ -101,7 +102,7 @@ pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> 
     });
     // What is kept is looked at before the instrument is tried.
     let mut is_kept_told = false;
-    let ended = desk.follow(job, |told| {
+    let ended = desk.console.follow(job, |told| {
         if let Told::Event(record) = told
             && let News::Station(StationEvent::Found { finding }) = &record.news
         {
