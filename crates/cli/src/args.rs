@@ -64,20 +64,20 @@ impl Command {
     /// Whether the answer is a JSON object.
     pub(crate) fn wants_json(&self) -> bool {
         match self {
-            Self::Demo(args) => args.json,
-            Self::Register(args) => args.json,
-            Self::Doctor(args) => args.json,
-            Self::Calibrate(args) => args.json,
-            Self::Focus(args) => args.json,
-            Self::Resume(args) => args.json,
-            Self::Abandon(args) => args.json,
-            Self::Stage(StageCommand::Go(args)) => args.json,
-            Self::Target(TargetCommand::Save(args)) => args.json,
-            Self::Target(TargetCommand::List(args)) => args.json,
-            Self::Target(TargetCommand::Export(args)) => args.json,
-            Self::Target(TargetCommand::Import(args)) => args.json,
-            Self::Reposition(args) => args.json,
-            Self::Driver(DriverCommand::Check(args)) => args.json,
+            Self::Demo(args) => args.answer.json,
+            Self::Register(args) => args.answer.json,
+            Self::Doctor(args) => args.answer.json,
+            Self::Calibrate(args) => args.answer.json,
+            Self::Focus(args) => args.answer.json,
+            Self::Resume(args) => args.answer.json,
+            Self::Abandon(args) => args.answer.json,
+            Self::Stage(StageCommand::Go(args)) => args.answer.json,
+            Self::Target(TargetCommand::Save(args)) => args.answer.json,
+            Self::Target(TargetCommand::List(args)) => args.answer.json,
+            Self::Target(TargetCommand::Export(args)) => args.answer.json,
+            Self::Target(TargetCommand::Import(args)) => args.answer.json,
+            Self::Reposition(args) => args.answer.json,
+            Self::Driver(DriverCommand::Check(args)) => args.answer.json,
             Self::Init(_) | Self::Twin(_) => false,
         }
     }
@@ -91,6 +91,22 @@ pub(crate) fn misused(error: &clap::Error) -> (CliError, bool) {
     let mut ours = std::env::args_os().take_while(|a| a != "--");
     let json = ours.any(|a| a == "--json");
     (CliError::Usage(words.trim_end().into()), json)
+}
+
+/// How a command answers.
+#[derive(Debug, Args)]
+pub(crate) struct AnswerArgs {
+    /// Print one JSON object on stdout, and no lines for people.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// Where the report of a run is put.
+#[derive(Debug, Args)]
+pub(crate) struct ReportArgs {
+    /// Folder for the report; that of an earlier run there is replaced.
+    #[arg(long, value_name = "DIR", default_value = "scopeservo-run")]
+    pub(crate) out: PathBuf,
 }
 
 /// Where the instrument is described.
@@ -145,9 +161,8 @@ pub(crate) struct DoctorArgs {
     /// the specimen out first.
     #[arg(long)]
     pub(crate) allow_motion: bool,
-    /// Print one JSON object on stdout instead.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }
 
 #[derive(Debug, Subcommand)]
@@ -171,9 +186,8 @@ pub(crate) struct DriverCheckArgs {
     /// The height from which on the nosepiece may turn. Without it objectives are not changed.
     #[arg(long, value_name = "UM", allow_negative_numbers = true)]
     pub(crate) retract_z_um: Option<f64>,
-    /// Print one JSON object on stdout instead.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
     /// The driver's program and its arguments.
     #[arg(last = true, value_name = "COMMAND")]
     pub(crate) command: Vec<String>,

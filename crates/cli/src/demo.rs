@@ -18,7 +18,7 @@ use scopeservo_station::jobs::{RepositionInput, RepositionJob};
 use scopeservo_twin::Truth;
 use serde_json::json;
 use std::path::PathBuf;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 const DEFAULT_OUT: &str = "scopeservo-demo";
 /// Scales that a picture from a microscope can have.
@@ -92,68 +92,11 @@ fn demo(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
         None => None,
     };
     let mut watcher = Watcher::new(views);
-    let options = run_options(args);
-    let scope = &bench.scope;
-    let saved =
-        save_target(&bench, &options.vision, &mut watcher).inspect_err(|_| watcher.finish())?;
-
-    // The slide is taken out and put back: the view now lies start_um from the target, the slide turned about it.
-    let (before, time_before) = (scope.counters(), scope.clock().now());
-    let (outcome, target_truth) = match saved {
-        Ok((target, truth)) => {
-            displace(&bench);
-            let input = RepositionInput {
-                target_id: "demo".into(),
-                options,
-                ..RepositionInput::default()
-            };
-            let job = RepositionJob::new(target, input);
-            let ran = bench.console.follow(job, |told| told.show(&mut watcher))?;
-            let output = ran.inspect_err(|_| watcher.finish())?;
-            (output.outcome, Some(truth))
-        }
-        Err(error) => (nothing_to_save(&error, scope, &mut watcher), None),
-    };
+    let ran = drive(&bench, run_options(args), &mut watcher);
     watcher.finish();
-    scope.check_cancel()?;
-
-    // The truth is that of the last frame: nothing moved after it, and whoever keeps the views can recompute it.
-    let last = watcher
-        .last_frame()
-        .and_then(|sequence| bench.twin.truth(sequence));
-    let arrival = target_truth
-        .as_ref()
-        .zip(last)
-        .map(|(target, last)| arrival_error(target, &last));
-    let engine = Engine::default().info();
-    let counters = scope.counters();
-    let result = DemoJson {
-        verdict: outcome.verdict,
-        reason: outcome.reason,
-        message: outcome.message.clone(),
-        estimated_error_um: outcome.estimated_error_um,
-        estimated_error_deg: outcome.estimated_error_deg,
-        true_error_um: arrival.map(|a| f64::hypot(a.0[0], a.0[1])),
-        true_error_deg: arrival.map(|a| a.1.abs()),
-        virtual_time_s: scope.clock().now().since(time_before).as_secs_f64(),
-        moves: counters.moves - before.moves,
-        frames: counters.frames - before.frames,
-        magnifications: output::magnifications(&outcome),
-        noise: match args.noise {
-            Noise::Default => "default",
-            Noise::None => "none",
-        },
-        method: match args.method {
-            Method::Paper => "paper",
-        },
-        lambda: args.lambda,
-        seed: args.seed,
-        specimen: specimen_name(args, &bench),
-        start_um: bench.scene.start_um,
-        start_deg: bench.scene.turn_deg,
-        engine: engine.name,
-        cpu_level: engine.cpu_level,
-    };
+    let ran = ran?;
+    bench.scope.check_cancel()?;
+    let result = result(args, &bench, &ran, &watcher);
     answer.put(json!(result));
     show(answer, &result, started);
     let Watcher {
@@ -163,16 +106,92 @@ fn demo(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
         answer.or_warn(views.finish(&out));
         answer.or_warn(keep_json(&out.join("events.json"), &recorder.events()));
     }
-    let page = page(
-        args,
-        &bench,
-        &recorder,
-        &result,
-        target_truth.as_ref(),
-        started,
-    );
+    let target = ran.target.as_ref();
+    let page = page(args, &bench, &recorder, &result, target, started);
     keep_report(&out, &page, answer);
-    Ok(outcome.verdict == Verdict::Arrived)
+    Ok(ran.outcome.verdict == Verdict::Arrived)
+}
+
+/// What became of it.
+struct Ran {
+    outcome: Outcome,
+    /// The target's hidden pose, when there was something to save.
+    target: Option<Truth>,
+    /// What the instrument did from the displacing of the slide on.
+    moves: u64,
+    frames: u64,
+    time: Duration,
+}
+
+/// Saves the view, puts the slide back elsewhere, and brings the view back.
+fn drive(
+    bench: &Bench,
+    options: RepositionOptions,
+    watcher: &mut Watcher,
+) -> Result<Ran, CliError> {
+    let scope = &bench.scope;
+    let saved = save_target(bench, &options.vision, watcher)?;
+    // The slide is taken out and put back: the view now lies start_um from the target, the slide turned about it.
+    let (before, time_before) = (scope.counters(), scope.clock().now());
+    let (outcome, target) = match saved {
+        Ok((target, truth)) => {
+            displace(bench);
+            let input = RepositionInput {
+                target_id: "demo".into(),
+                options,
+                ..RepositionInput::default()
+            };
+            let job = RepositionJob::new(target, input);
+            let output = bench.console.follow(job, |told| told.show(watcher))??;
+            (output.outcome, Some(truth))
+        }
+        Err(error) => (nothing_to_save(&error, scope, watcher), None),
+    };
+    let after = scope.counters();
+    Ok(Ran {
+        outcome,
+        target,
+        moves: after.moves - before.moves,
+        frames: after.frames - before.frames,
+        time: scope.clock().now().since(time_before),
+    })
+}
+
+fn result(args: &DemoArgs, bench: &Bench, ran: &Ran, watcher: &Watcher) -> DemoJson {
+    let outcome = &ran.outcome;
+    // The truth is that of the last frame: nothing moved after it, and whoever keeps the views can recompute it.
+    let last = watcher.last_frame();
+    let last = last.and_then(|sequence| bench.twin.truth(sequence));
+    let pair = ran.target.as_ref().zip(last);
+    let arrival = pair.map(|(target, last)| arrival_error(target, &last));
+    let engine = Engine::default().info();
+    DemoJson {
+        verdict: outcome.verdict,
+        reason: outcome.reason,
+        message: outcome.message.clone(),
+        estimated_error_um: outcome.estimated_error_um,
+        estimated_error_deg: outcome.estimated_error_deg,
+        true_error_um: arrival.map(|a| f64::hypot(a.0[0], a.0[1])),
+        true_error_deg: arrival.map(|a| a.1.abs()),
+        virtual_time_s: ran.time.as_secs_f64(),
+        moves: ran.moves,
+        frames: ran.frames,
+        magnifications: output::magnifications(outcome),
+        noise: match args.noise {
+            Noise::Default => "default",
+            Noise::None => "none",
+        },
+        method: match args.method {
+            Method::Paper => "paper",
+        },
+        lambda: args.lambda,
+        seed: args.seed,
+        specimen: specimen_name(args, bench),
+        start_um: bench.scene.start_um,
+        start_deg: bench.scene.turn_deg,
+        engine: engine.name,
+        cpu_level: engine.cpu_level,
+    }
 }
 
 fn nothing_to_save(error: &ServoError, scope: &Instrument, watcher: &mut Watcher) -> Outcome {

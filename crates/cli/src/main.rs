@@ -3,6 +3,8 @@
 //! Exit codes: 0 arrived or found, 3 not found or refused, 2 bad input or usage, 1 fault or interruption. With `--json` the answer is
 //! one JSON object on stdout, however the command ends, and everything else goes to stderr.
 
+#![warn(clippy::too_many_lines)]
+
 #[macro_use]
 mod answer;
 mod args;

@@ -2,16 +2,9 @@
 
 mod common;
 
-use common::{assert_bad_input, code, describe, json, scopeservo, stderr};
+use common::{assert_bad_input, code, describe, json, ok, scopeservo, stderr};
 use std::fs;
 use std::path::Path;
-
-fn ok(folder: &Path, args: &[&str]) -> serde_json::Value {
-    let output = scopeservo(folder, args);
-    let said = || String::from_utf8_lossy(&output.stdout).into_owned();
-    assert_eq!(code(&output), 0, "{args:?}: {} {}", stderr(&output), said());
-    json(&output)
-}
 
 #[test]
 fn from_init_to_arrived() {

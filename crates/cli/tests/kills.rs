@@ -3,15 +3,15 @@
 
 mod common;
 
-use common::{code, json, scopeservo, stderr};
+use common::served::{Served, serve_twin};
+use common::{code, json, ok, scopeservo, stderr};
 use scopeservo_geometry::SplitMix64;
 use scopeservo_protocol::Driver;
 use scopeservo_scope::{Axis, Clock, SystemClock};
 use serde_json::Value;
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -21,39 +21,13 @@ const LARGEST_STATE: u64 = 20_000;
 const NOISE_UM: f64 = 3.0;
 
 /// The simulated microscope, faster than life; it stays as it is when the program that drives it is killed.
-struct Served {
-    child: Child,
-    address: String,
-}
-
-impl Drop for Served {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
 fn serve(folder: &Path) -> Served {
     let described = folder.join("twin.toml");
     let text = "name = \"twin\"\n[drivers.twin.twin]\nseed = 4\nstage = \"xyz-theta\"\nobjectives = [\"40x\"]\n\
                 [devices]\nstage = \"twin\"\ncamera = \"twin\"\nnosepiece = \"twin\"\n\
                 [objective_change]\nretract_z_um = -2000\nmargin_um = 0\n";
-    fs::write(&described, text).unwrap();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_scopeservo"))
-        .args(["twin", "serve", "--listen", "127.0.0.1:0", "--speed", "10"])
-        .arg("--described-in")
-        .arg(described)
-        .stdin(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut said = BufReader::new(child.stderr.take().unwrap());
-    let mut line = String::new();
-    said.read_line(&mut line).unwrap();
-    std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
-    let address = line.split("listens on ").nth(1).expect("an address");
-    let address = address.split(';').next().unwrap().to_owned();
-    Served { child, address }
+    fs::write(described, text).unwrap();
+    serve_twin(folder, &["--speed", "10", "--described-in", "twin.toml"])
 }
 
 fn describe(folder: &Path, address: &str) {
@@ -64,13 +38,6 @@ fn describe(folder: &Path, address: &str) {
          [objective_change]\nretract_z_um = -2000\nmargin_um = 0\n"
     );
     fs::write(folder.join("scopeservo.toml"), text).unwrap();
-}
-
-fn ok(folder: &Path, args: &[&str]) -> Value {
-    let output = scopeservo(folder, args);
-    let told = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert_eq!(code(&output), 0, "{args:?}: {} {told}", stderr(&output));
-    json(&output)
 }
 
 fn go(folder: &Path, x_um: f64, y_um: f64) -> Value {

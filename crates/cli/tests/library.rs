@@ -2,18 +2,11 @@
 
 mod common;
 
-use common::{code, describe, json, scopeservo, stderr};
+use common::{code, describe, json, ok, scopeservo, stderr};
 use serde_json::Value;
 use std::fs;
-use std::path::Path;
 
 const BY_HAND: &str = "stage = \"xy\"\nobjectives = [\"40x\"]\n";
-
-fn ok(folder: &Path, args: &[&str]) -> Value {
-    let output = scopeservo(folder, args);
-    assert_eq!(code(&output), 0, "{args:?}: {}", stderr(&output));
-    json(&output)
-}
 
 #[test]
 fn a_target_is_carried_to_another_microscope_and_found_there() {

@@ -4,37 +4,11 @@
 
 mod common;
 
+use common::served::serve_twin;
 use common::{code, json, scopeservo, stderr};
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
-
-/// The simulated microscope on a port of its own for as long as the test runs.
-struct Served(Child, String);
-
-impl Drop for Served {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn served() -> Served {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_scopeservo"))
-        .args(["twin", "serve", "--listen", "127.0.0.1:0"])
-        .stdin(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut line = String::new();
-    let mut said = BufReader::new(child.stderr.take().unwrap());
-    said.read_line(&mut line).unwrap();
-    std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
-    let address = line.split("listens on ").nth(1).unwrap();
-    let address = address.split(';').next().unwrap().to_owned();
-    Served(child, address)
-}
+use std::process::{Command, Stdio};
 
 fn describe(folder: &Path, driver: &str, limits: &str) {
     let text = format!(
@@ -46,10 +20,10 @@ fn describe(folder: &Path, driver: &str, limits: &str) {
 
 #[test]
 fn stage_go_goes_within_the_rules_and_brings_a_stage_back_that_stands_outside() {
-    let twin = served();
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
-    let driver = format!("tcp = \"{}\"", twin.1);
+    let twin = serve_twin(here, &[]);
+    let driver = format!("tcp = \"{}\"", twin.address);
     describe(here, &driver, "x_um = [-3000, 3000]");
     let go = |args: &[&str]| scopeservo(here, &[&["stage", "go"], args].concat());
     let there = go(&["--x-um", "500", "--rz-deg", "-0.5", "--json"]);

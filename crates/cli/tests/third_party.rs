@@ -5,12 +5,12 @@
 
 mod common;
 
-use common::{code, json, scopeservo, stderr};
+use common::served::{Served, free_port, serve, serve_twin};
+use common::{ok, stderr};
 use scopeservo_protocol::Driver;
 use scopeservo_scope::{Axis, Clock, Motion, Stage, StagePose, SystemClock};
 use scopeservo_twin::specimen::{Specimen, Tissue};
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -26,49 +26,6 @@ fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// A driver that listens on a port of its own for as long as the test runs.
-struct Served {
-    child: Child,
-    address: String,
-}
-
-impl Drop for Served {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-fn free_port() -> u16 {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    listener.local_addr().unwrap().port()
-}
-
-fn serve(program: &Path, args: &[&str], folder: &Path) -> Served {
-    let address = format!("127.0.0.1:{}", free_port());
-    let mut child = Command::new(program)
-        .current_dir(folder)
-        .args(args)
-        .args(["--listen", &address])
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut said = BufReader::new(child.stderr.take().unwrap());
-    let mut line = String::new();
-    while !line.contains("listen") {
-        line.clear();
-        assert!(
-            said.read_line(&mut line).unwrap() > 0,
-            "{args:?} ended before it listened"
-        );
-    }
-    // What it says later must not fill the pipe.
-    std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
-    Served { child, address }
-}
-
 const THEIR_NOSEPIECE: &str = "nosepiece = \"them\"\n";
 
 /// A description; `more` begins with the nosepiece.
@@ -78,13 +35,6 @@ fn describe(folder: &Path, address: &str, more: &str) {
          [devices]\nstage = \"them\"\ncamera = \"them\"\n{more}"
     );
     fs::write(folder.join("scopeservo.toml"), text).unwrap();
-}
-
-fn ok(folder: &Path, args: &[&str]) -> serde_json::Value {
-    let output = scopeservo(folder, args);
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert_eq!(code(&output), 0, "{args:?}: {} {said}", stderr(&output));
-    json(&output)
 }
 
 fn stage(address: &str) -> Box<dyn Stage> {
@@ -312,8 +262,7 @@ fn camera_stage_mapping_measures_the_twin_as_we_do() {
     let python = python();
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
-    let program = Path::new(env!("CARGO_BIN_EXE_scopeservo"));
-    let twin = serve(program, &["twin", "serve", "--seed", "5"], here);
+    let twin = serve_twin(here, &["--seed", "5"]);
     describe(
         here,
         &twin.address,

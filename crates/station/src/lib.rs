@@ -7,6 +7,7 @@
 //!
 //! Nothing here prints, reads files or the wall clock, or keeps global state.
 
+#![warn(clippy::too_many_lines)]
 #![cfg_attr(
     not(test),
     warn(

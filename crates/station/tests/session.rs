@@ -10,7 +10,7 @@ use scopeservo_station::jobs::{
     IdentifyJob, RepositionInput, RepositionJob, Request, SaveTargetInput, SaveTargetJob, Trouble,
 };
 use scopeservo_station::{
-    Ended, JobError, JobId, JobInfo, Journal as _, JournalError, Kept, News, Refusal, StationEvent,
+    Ended, JobError, JobId, JobInfo, Journal as _, Kept, News, Refusal, StationEvent,
 };
 
 #[test]
@@ -92,11 +92,10 @@ fn one_session_calibrates_stops_repositions_stops_and_repositions_to_the_end_whi
     assert!(state.len() < 20_000, "{} bytes", state.len());
 
     // From its state it goes on, whole again with its target.
-    let stored = AnyJob::stored("reposition", state.as_bytes(), |id| {
-        assert_eq!(id, "mitosis-3");
-        Ok::<_, JournalError>(saved.target.clone())
-    });
-    let resumed = session.start(&ada, stored.unwrap()).unwrap().wait();
+    let stored = AnyJob::stored("reposition", state.as_bytes()).unwrap();
+    assert_eq!(stored.target_id(), Some("mitosis-3"));
+    let stored = stored.with_target(saved.target.clone());
+    let resumed = session.start(&ada, stored).unwrap().wait();
     let Ok(Answer::Reposition(resumed)) = resumed else {
         panic!("{resumed:?}");
     };

@@ -1,6 +1,6 @@
 //! Saved views.
 
-use super::{ConfigArgs, InstrumentArgs};
+use super::{AnswerArgs, ConfigArgs, InstrumentArgs};
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
 
@@ -37,9 +37,8 @@ pub(crate) struct TargetSaveArgs {
     /// Move nothing, also no step aside that shows what is fixed to the camera.
     #[arg(long, conflicts_with_all = ["focus", "objective"])]
     pub(crate) still: bool,
-    /// Print one JSON object on stdout instead of the summary.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }
 
 #[derive(Debug, Args)]
@@ -52,9 +51,8 @@ pub(crate) struct TargetExportArgs {
     pub(crate) file: PathBuf,
     #[command(flatten)]
     pub(crate) description: ConfigArgs,
-    /// Print one JSON object on stdout instead.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }
 
 #[derive(Debug, Args)]
@@ -69,16 +67,14 @@ pub(crate) struct TargetImportArgs {
     pub(crate) name: Option<String>,
     #[command(flatten)]
     pub(crate) description: ConfigArgs,
-    /// Print one JSON object on stdout instead.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct TargetListArgs {
     #[command(flatten)]
     pub(crate) description: ConfigArgs,
-    /// Print one JSON object on stdout instead.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }

@@ -1,5 +1,6 @@
 //! The simulated microscope, and two pictures without any.
 
+use super::AnswerArgs;
 use clap::{Args, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -119,9 +120,8 @@ pub(crate) struct DemoArgs {
     /// report and result.json are written, to ./scopeservo-demo. What an earlier run left there is replaced.
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-    /// Print one JSON object on stdout instead of the summary.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }
 
 fn parse_speed(text: &str) -> Result<f64, String> {
@@ -177,7 +177,6 @@ pub(crate) struct RegisterArgs {
     /// Threads, 1 to 256; all cores by default. The answer does not depend on it.
     #[arg(long, value_name = "T")]
     pub(crate) threads: Option<usize>,
-    /// Print one JSON object on stdout instead of the summary.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }

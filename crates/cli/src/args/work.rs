@@ -1,8 +1,7 @@
 //! What is asked of an instrument: to move, focus, calibrate and come back.
 
-use super::{ConfigArgs, InstrumentArgs};
+use super::{AnswerArgs, ConfigArgs, InstrumentArgs, ReportArgs};
 use clap::{Args, Subcommand};
-use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -17,9 +16,8 @@ pub(crate) struct CalibrateArgs {
     /// Do not focus first.
     #[arg(long)]
     pub(crate) no_focus: bool,
-    /// Print one JSON object on stdout instead of the summary.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }
 
 #[derive(Debug, Args)]
@@ -39,9 +37,8 @@ pub(crate) struct FocusArgs {
     /// Go to this height first, and focus around it: for a stage that was left retracted.
     #[arg(long, value_name = "UM", allow_negative_numbers = true)]
     pub(crate) near_z_um: Option<f64>,
-    /// Print one JSON object on stdout instead of the summary.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }
 
 #[derive(Debug, Subcommand)]
@@ -63,9 +60,8 @@ pub(crate) struct StageGoArgs {
     pub(crate) instrument: InstrumentArgs,
     #[command(flatten)]
     pub(crate) to: PlaceArgs,
-    /// Print one JSON object on stdout instead of the summary.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }
 
 /// Goals of axes, one at least.
@@ -116,12 +112,10 @@ pub(crate) struct RepositionArgs {
     /// Iterations at each magnification, at most.
     #[arg(long, value_name = "N", default_value_t = 64)]
     pub(crate) max_iterations: usize,
-    /// Folder for the report; that of an earlier run there is replaced.
-    #[arg(long, value_name = "DIR", default_value = "scopeservo-run")]
-    pub(crate) out: PathBuf,
-    /// Print one JSON object on stdout instead of the summary.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) report: ReportArgs,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }
 
 #[derive(Debug, Args)]
@@ -134,12 +128,10 @@ meanwhile. Until then no other job begins.")]
 pub(crate) struct ResumeArgs {
     #[command(flatten)]
     pub(crate) instrument: InstrumentArgs,
-    /// Folder for the report; that of an earlier run there is replaced.
-    #[arg(long, value_name = "DIR", default_value = "scopeservo-run")]
-    pub(crate) out: PathBuf,
-    /// Print one JSON object on stdout instead of the summary.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) report: ReportArgs,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }
 
 #[derive(Debug, Args)]
@@ -150,7 +142,6 @@ Nothing moves: the stage stays where it was left.")]
 pub(crate) struct AbandonArgs {
     #[command(flatten)]
     pub(crate) description: ConfigArgs,
-    /// Print one JSON object on stdout instead of the summary.
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
 }

@@ -29,7 +29,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
         true => None,
         false => Some(foreign_scale(&args.name, &kept, &config, answer)?),
     };
-    try_out(&args.out)?;
+    try_out(&args.report.out)?;
     let desk = Desk::open(&args.instrument, answer)?;
     desk.check_nothing_waits()?;
     let servo = ServoOptions {
@@ -55,7 +55,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
         ..Asked::default()
     };
     let job = RepositionJob::new(kept.target, input);
-    run(&desk, &args.name, job, asked, &args.out, answer)
+    run(&desk, &args.name, job, asked, &args.report.out, answer)
 }
 
 /// Runs the job, from its beginning or from where it was.

@@ -10,8 +10,8 @@ use crate::journal::{self, Asked};
 use crate::views::try_out;
 use scopeservo_library::{Journal as _, Targets as _};
 use scopeservo_setup::Config;
-use serde::de::DeserializeOwned;
-use serde_json::{Value, json};
+use scopeservo_station::jobs::AnyJob;
+use serde_json::json;
 
 pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliError> {
     let library = library_of(&args.instrument.description)?;
@@ -21,7 +21,7 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
             "no job was under way when a program ended: there is nothing to go on with".into(),
         ));
     }
-    try_out(&args.out)?;
+    try_out(&args.report.out)?;
     let desk = Desk::open(&args.instrument, answer)?;
     let Some(left) = desk.left()? else {
         return Err(CliError::Usage("another program went on with it".into()));
@@ -46,35 +46,29 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
     let Some(state) = state else {
         return Err(cannot("it had not begun. Give its command again".into()));
     };
-    let name = || {
-        left.head.inputs["name"]
-            .as_str()
-            .unwrap_or_default()
-            .to_owned()
-    };
-    match left.head.job.as_str() {
-        "focus" => focus::run(&desk, read(state).map_err(cannot)?, asked, answer),
-        "calibrate" => calibrate::run(&desk, read(state).map_err(cannot)?, asked, answer),
-        "save_target" => {
-            save_target::run(&desk, &name(), read(state).map_err(cannot)?, asked, answer)
+    let name = left.head.inputs["name"].as_str().unwrap_or_default();
+    let stored = AnyJob::stored(&left.head.job, state.to_string().as_bytes());
+    let mut job = stored.map_err(|e| cannot(e.to_string()))?;
+    if let Some(id) = job.target_id() {
+        let kept = library.target(name)?;
+        if kept.id != id {
+            return Err(cannot(
+                "its target is not the one that it was begun with".into(),
+            ));
         }
-        "reposition" => {
-            let job: scopeservo_station::jobs::RepositionJob = read(state).map_err(cannot)?;
-            let kept = library.target(&name())?;
-            if kept.id != job.target_id() {
-                return Err(cannot(
-                    "its target is not the one that it was begun with".into(),
-                ));
-            }
-            let job = job.with_target(kept.target);
-            reposition::run(&desk, &name(), job, asked, &args.out, answer)
-        }
-        other => Err(cannot(format!("this version knows no {other}"))),
+        job = job.with_target(kept.target);
     }
-}
-
-fn read<T: DeserializeOwned>(state: Value) -> Result<T, String> {
-    serde_json::from_value(state).map_err(|e| format!("its state cannot be read: {e}"))
+    match job {
+        AnyJob::Focus(job) => focus::run(&desk, *job, asked, answer),
+        AnyJob::Calibrate(job) => calibrate::run(&desk, *job, asked, answer),
+        AnyJob::SaveTarget(job) => save_target::run(&desk, name, *job, asked, answer),
+        AnyJob::Reposition(job) => {
+            reposition::run(&desk, name, *job, asked, &args.report.out, answer)
+        }
+        AnyJob::Identify(_) | AnyJob::Doctor(_) => {
+            Err(cannot("no command of this program does that".into()))
+        }
+    }
 }
 
 pub(crate) fn abandon(args: &AbandonArgs, answer: &Answer) -> Result<bool, CliError> {

@@ -7,6 +7,8 @@
     reason = "each test file uses its own part of this module"
 )]
 
+pub mod served;
+
 use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
 use scopeservo_twin::specimen::{Specimen, Tissue};
 use std::path::{Path, PathBuf};
@@ -32,6 +34,14 @@ pub fn stderr(output: &Output) -> String {
 pub fn json(output: &Output) -> serde_json::Value {
     serde_json::from_slice(&output.stdout)
         .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&output.stdout)))
+}
+
+/// The answer of a command that does what is hoped for.
+pub fn ok(folder: &Path, args: &[&str]) -> serde_json::Value {
+    let output = scopeservo(folder, args);
+    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(code(&output), 0, "{args:?}: {} {told}", stderr(&output));
+    json(&output)
 }
 
 /// Exit code 2, one sentence on stderr that names no panic, nothing on stdout, no report.

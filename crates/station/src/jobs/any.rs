@@ -5,9 +5,11 @@ use super::{
     FocusInput, FocusJob, FocusOutput, IdentifyInput, IdentifyJob, IdentifyOutput, RepositionInput,
     RepositionJob, RepositionOutput, SaveTargetInput, SaveTargetJob, SaveTargetOutput,
 };
-use crate::{JobError, JournalError, UseCase, Work};
+use crate::{JobError, UseCase, Work};
 use scopeservo_servo::{Progress, Target};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use thiserror::Error;
 
 /// What is asked of a station.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -70,32 +72,53 @@ impl AnyJob {
         })
     }
 
-    /// A job that goes on, from its kind and the state that a [`crate::Journal`] kept.
+    /// A job that goes on, from its kind and the state that a [`crate::Journal`] kept. One that names a target is whole again with it
+    /// ([`AnyJob::target_id`], [`AnyJob::with_target`]).
     ///
     /// # Errors
-    /// [`JournalError`] when the state is damaged, or of a kind that is not known here; those of `target`.
-    pub fn stored<E: From<JournalError>>(
-        kind: &str,
-        state: &[u8],
-        target: impl FnOnce(&str) -> Result<Target, E>,
-    ) -> Result<Self, E> {
-        fn read<'a, T: Deserialize<'a>>(state: &'a [u8]) -> Result<Box<T>, JournalError> {
+    /// [`StoredError`].
+    pub fn stored(kind: &str, state: &[u8]) -> Result<Self, StoredError> {
+        fn read<'a, T: Deserialize<'a>>(state: &'a [u8]) -> Result<Box<T>, StoredError> {
             let job = serde_json::from_slice(state).map(Box::new);
-            job.map_err(|error| JournalError(format!("it cannot be read: {error}")))
+            job.map_err(|error| StoredError::State(error.to_string()))
         }
         Ok(match kind {
             "focus" => Self::Focus(read(state)?),
             "calibrate" => Self::Calibrate(read(state)?),
             "save_target" => Self::SaveTarget(read(state)?),
             "identify" => Self::Identify(read(state)?),
-            "reposition" => {
-                let job = *read::<RepositionJob>(state)?;
-                let target = target(job.target_id())?;
-                Self::Reposition(Box::new(job.with_target(target)))
-            }
-            other => return Err(JournalError(format!("there is no job '{other}'")).into()),
+            "reposition" => Self::Reposition(read(state)?),
+            other => return Err(StoredError::Kind(other.to_owned())),
         })
     }
+
+    /// By what the target is found that it needs to go on.
+    pub fn target_id(&self) -> Option<&str> {
+        match self {
+            Self::Reposition(job) => Some(job.target_id()),
+            _ => None,
+        }
+    }
+
+    /// A stored job with its target.
+    #[must_use]
+    pub fn with_target(self, target: impl Into<Arc<Target>>) -> Self {
+        match self {
+            Self::Reposition(job) => Self::Reposition(Box::new(job.with_target(target))),
+            other => other,
+        }
+    }
+}
+
+/// Why a stored job is none.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum StoredError {
+    /// Its state is damaged, or that of another version.
+    #[error("its state cannot be read: {0}")]
+    State(String),
+    /// There is no such job here, or none that can go on.
+    #[error("this version knows no {0} that could")]
+    Kind(String),
 }
 
 impl UseCase for AnyJob {

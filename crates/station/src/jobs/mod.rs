@@ -11,7 +11,7 @@ mod identify;
 mod reposition;
 mod save_target;
 
-pub use any::{Answer, AnyJob, Request};
+pub use any::{Answer, AnyJob, Request, StoredError};
 pub use calibrate::{CalibrateInput, CalibrateJob, CalibrateOutput};
 pub use doctor::{
     Check, DoctorInput, DoctorJob, DoctorOutput, Finding, Trouble, look_by_small_moves,
