@@ -10,7 +10,7 @@ use scopeservo_library::{
     Cameras as _, Folder, Journal as _, Journalled, RunHead, RunLog, Runs as _,
 };
 use scopeservo_scope::{CancelToken, GateEvent, Instrument, Objective};
-use scopeservo_setup::{Config, Consent, Opened, connect, home_if_needed};
+use scopeservo_setup::{Config, Consent, Held, Opened, connect, home_if_needed};
 use scopeservo_station::{News, StationEvent, UseCase};
 use std::io::{BufRead, IsTerminal};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
@@ -25,6 +25,8 @@ pub(crate) struct Desk {
     pub(crate) drivers: Vec<(String, String)>,
     pub(crate) console: Console,
     journal: Arc<FileJournal>,
+    /// Let go last.
+    _held: Held,
 }
 
 /// What Ctrl-C stops; nothing until an instrument is there.
@@ -85,6 +87,7 @@ pub(crate) fn rein_in(cancel: &CancelToken, answer: &Answer) -> Reins {
 impl Desk {
     pub(crate) fn open(args: &InstrumentArgs, answer: &Answer) -> Result<Self, CliError> {
         let config = Config::read(&args.description.config)?;
+        let held = Held::data(&config)?;
         let library = Arc::new(Folder::new(config.resolve(&config.data_folder)));
         let cancel = CancelToken::new();
         let reins = rein_in(&cancel, answer);
@@ -119,6 +122,7 @@ impl Desk {
             drivers,
             console,
             journal,
+            _held: held,
         })
     }
 
@@ -140,6 +144,11 @@ impl Desk {
     /// What a killed program left.
     pub(crate) fn left(&self) -> Result<Option<Journalled>, CliError> {
         Ok(self.library.journal(&self.config.name)?)
+    }
+
+    /// What a killed program left needs nothing more.
+    pub(crate) fn end_left(&self) -> Result<(), CliError> {
+        Ok(self.journal.close()?)
     }
 
     /// Runs a job to its end, shows what it does, and keeps its record.
@@ -176,6 +185,7 @@ impl Desk {
             output,
             made: self.journal.made(),
             record,
+            journal: self.journal.clone(),
         })
     }
 }
@@ -186,10 +196,12 @@ pub(crate) struct Ran<T> {
     /// What it made on the way, however it ended, and where that is kept.
     pub(crate) made: Vec<Made>,
     record: Option<Box<dyn RunLog>>,
+    journal: Arc<FileJournal>,
 }
 
 impl<T> Ran<T> {
-    /// Keeps the answer as it stands, and the page, with the record of the run.
+    /// Keeps the answer as it stands, and the page, with the record of the run. Only then the journal ends: whoever is killed before has the
+    /// answer given again.
     pub(crate) fn end(mut self, page: Option<&str>, answer: &Answer) -> Result<T, CliError> {
         if let Some(record) = &mut self.record {
             if let Some(page) = page {
@@ -201,6 +213,7 @@ impl<T> Ran<T> {
             };
             answer.or_warn(record.end(&object));
         }
+        answer.or_warn(self.journal.close());
         self.output
     }
 }

@@ -214,7 +214,7 @@ fn setup_code(error: &SetupError) -> Code {
     match error.root() {
         SetupError::Driver(_) => Code::NoDriver,
         SetupError::Specimen(_) => Code::BadImage,
-        SetupError::InUse { .. } => Code::InUse,
+        SetupError::InUse { .. } | SetupError::NameInUse { .. } => Code::InUse,
         SetupError::Held { .. } => Code::CannotWrite,
         // What the file sets cannot be.
         SetupError::Scope(ScopeError::BadSetting { .. }) => Code::BadDescription,

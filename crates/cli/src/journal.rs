@@ -2,7 +2,7 @@
 
 use scopeservo_library::{
     Calibrations as _, Cameras as _, Folder, Journal as _, JournalHead, JournalStep, Journalled,
-    utc,
+    LibraryError, utc,
 };
 use scopeservo_scope::{Axis, Instrument, Length, StagePose};
 use scopeservo_station::{Ended, JobInfo, Journal, JournalError, Kept, MadeCalibration};
@@ -73,6 +73,11 @@ impl FileJournal {
             head,
             ..AtWork::default()
         };
+    }
+
+    /// The job's answer is kept, or there is none: it will not go on.
+    pub(crate) fn close(&self) -> Result<(), LibraryError> {
+        self.library.end_journal(&self.instrument)
     }
 
     /// What the job made so far.
@@ -171,9 +176,13 @@ impl Journal for FileJournal {
         }
     }
 
-    fn ended(&self, _: &JobInfo, _: &Ended) -> Result<(), JournalError> {
+    /// An answer is nothing yet that outlives the program: what it was made of stays until [`FileJournal::close`].
+    fn ended(&self, _: &JobInfo, how: &Ended) -> Result<(), JournalError> {
         self.at_work().begun = false;
-        self.library.end_journal(&self.instrument).map_err(failed)
+        match how {
+            Ended::Answered => Ok(()),
+            Ended::Stopped { .. } | Ended::Failed { .. } => self.close().map_err(failed),
+        }
     }
 }
 
@@ -266,5 +275,85 @@ fn shown(axis: Axis, si: f64) -> String {
     match unit {
         "deg" => format!("{:.3} {unit}", si.to_degrees()),
         _ => format!("{:.1} {unit}", si * 1e6),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scopeservo_scope::{CancelToken, Clock, VirtualClock};
+    use scopeservo_servo::Progress;
+    use scopeservo_station::{JobError, News, Parts, Session, StationEvent, UseCase, Work};
+    use scopeservo_twin::specimen::Tissue;
+    use scopeservo_twin::{Config, Twin};
+    use serde::Serialize;
+
+    /// Moves once, and answers or fails.
+    #[derive(Serialize)]
+    struct Once {
+        done: bool,
+        fails: bool,
+    }
+
+    impl UseCase for Once {
+        type Output = ();
+
+        fn kind(&self) -> &'static str {
+            "once"
+        }
+
+        fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<()>, JobError> {
+            if self.done {
+                return Ok(Progress::Done(()));
+            }
+            work.scope()
+                .move_to(&StagePose::default().with_si(Axis::X, 1e-5))?;
+            self.done = true;
+            match self.fails {
+                true => Err(JobError::Mistake { what: "it".into() }),
+                false => Ok(Progress::Continue),
+            }
+        }
+    }
+
+    /// The worst moment to be killed at: the job has its answer, and nobody else has.
+    #[test]
+    fn a_job_is_in_the_journal_until_its_answer_is_kept() {
+        let dir = tempfile::tempdir().unwrap();
+        let library = Arc::new(Folder::new(dir.path().into()));
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
+        let twin = Twin::new(Config::noiseless(), Arc::new(Tissue::new(1)), 1, clock).unwrap();
+        let scope = Instrument::new(twin.devices(), twin.rules(), CancelToken::new()).unwrap();
+        let scope = Arc::new(scope);
+        let journal = Arc::new(FileJournal::new(&library, "lab", &scope));
+        let parts = Parts {
+            journal: journal.clone(),
+            ..Parts::default()
+        };
+        // What a program that is killed at the event of the end would leave.
+        let (left, folder) = (Arc::new(Mutex::new(None)), library.clone());
+        let at_end = left.clone();
+        parts.bus.keep(Arc::new(move |record| {
+            if let News::Station(StationEvent::JobEnded { .. }) = &record.news {
+                *at_end.lock().unwrap() = folder.journal("lab").unwrap();
+            }
+        }));
+        let session = Session::new(scope.clone(), parts);
+        let lease = session.take_lease("test", None).unwrap();
+        for fails in [false, true] {
+            journal.comes("once", Asked::default());
+            let job = Once { done: false, fails };
+            let ended = session.start(&lease, job).unwrap().wait();
+            assert_eq!(ended.is_err(), fails);
+            let left: Option<Journalled> = left.lock().unwrap().take();
+            assert_eq!(left.is_some(), !fails);
+            if let Some(left) = left {
+                // It goes on with its last step.
+                assert_eq!(left.step.as_ref().unwrap().state["done"], true);
+                assert_eq!(contradiction(&left, &scope), None);
+            }
+            journal.close().unwrap();
+            assert_eq!(library.journal("lab").unwrap(), None);
+        }
     }
 }

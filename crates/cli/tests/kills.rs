@@ -21,13 +21,13 @@ const LARGEST_STATE: u64 = 20_000;
 const NOISE_UM: f64 = 3.0;
 
 /// The simulated microscope, faster than life; it stays as it is when the program that drives it is killed.
-fn serve(folder: &Path) -> Served {
+fn serve(folder: &Path, speed: &str) -> Served {
     let described = folder.join("twin.toml");
     let text = "name = \"twin\"\n[drivers.twin.twin]\nseed = 4\nstage = \"xyz-theta\"\nobjectives = [\"40x\"]\n\
                 [devices]\nstage = \"twin\"\ncamera = \"twin\"\nnosepiece = \"twin\"\n\
                 [objective_change]\nretract_z_um = -2000\nmargin_um = 0\n";
     fs::write(described, text).unwrap();
-    serve_twin(folder, &["--speed", "10", "--described-in", "twin.toml"])
+    serve_twin(folder, &["--speed", speed, "--described-in", "twin.toml"])
 }
 
 fn describe(folder: &Path, address: &str) {
@@ -148,7 +148,7 @@ fn share(number: usize) {
     let kills = kills() / 3 + usize::from(number < kills() % 3);
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
-    let twin = serve(here);
+    let twin = serve(here, "10");
     describe(here, &twin.address);
     let mut rng = SplitMix64::new(20261126 + number as u64);
     let timed = |args: &[&str]| {
@@ -238,7 +238,7 @@ fn share(number: usize) {
 fn a_job_does_not_go_on_from_another_place_and_can_be_abandoned() {
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
-    let twin = serve(here);
+    let twin = serve(here, "10");
     describe(here, &twin.address);
     assert_eq!(code(&scopeservo(here, &["resume"])), 2, "nothing is left");
     // Killed until it is met in the middle.
@@ -272,4 +272,116 @@ fn a_job_does_not_go_on_from_another_place_and_can_be_abandoned() {
     let focus = scopeservo(here, &["focus", "--json"]);
     assert!([0, 3].contains(&code(&focus)), "{}", stderr(&focus));
     assert_ne!(json(&focus)["error"]["code"], "unfinished");
+}
+
+/// Kills a program that has its answer and cannot tell it: its reader takes no more.
+#[cfg(target_os = "linux")]
+fn killed_with_its_answer(folder: &Path, args: &[&str]) {
+    let ended = || {
+        let runs = fs::read_dir(folder.join("scopeservo-data/runs")).into_iter();
+        let runs = runs.flatten().flatten();
+        let logs = runs.filter_map(|run| fs::read_to_string(run.path().join("events.jsonl")).ok());
+        logs.filter(|log| log.contains("job_ended")).count()
+    };
+    let (reader, mut writer) = std::io::pipe().unwrap();
+    let full = writer.try_clone().unwrap();
+    std::thread::spawn(move || while std::io::Write::write(&mut writer, &[0; 4096]).is_ok() {});
+    std::thread::sleep(Duration::from_millis(200));
+    let before = ended();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_scopeservo"))
+        .current_dir(folder)
+        .args(args)
+        .stdin(Stdio::null())
+        .stdout(full)
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let start = Instant::now();
+    while ended() == before {
+        assert!(start.elapsed() < Duration::from_secs(300), "{args:?}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(child.try_wait().unwrap().is_none(), "it told its answer");
+    child.kill().unwrap();
+    child.wait().unwrap();
+    drop(reader);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn an_answer_that_a_killed_program_had_is_given_by_the_next() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    let twin = serve(here, "10");
+    describe(here, &twin.address);
+    ok(here, &["focus", "--json"]);
+    killed_with_its_answer(here, &["calibrate", "--no-focus"]);
+    let made = ok(here, &["resume", "--json"]);
+    let file = made["calibrations"][0]["file"].as_str().unwrap();
+    assert!(here.join(file).exists(), "{made}");
+    assert!(ok(here, &["abandon", "--json"])["abandoned"].is_null());
+    // What was kept before is not made again.
+    killed_with_its_answer(here, &["target", "save", "spot"]);
+    let saved = ok(here, &["resume", "--json"]);
+    assert!(
+        Path::new(saved["file"].as_str().unwrap()).ends_with("spot.target"),
+        "{saved}"
+    );
+    let list = ok(here, &["target", "list", "--json"]);
+    assert_eq!(list["targets"].as_array().unwrap().len(), 1, "{list}");
+    go(here, 20.0, -10.0);
+    killed_with_its_answer(here, &["reposition", "spot", "--lambda", "0.7"]);
+    let at = place(&twin);
+    let back = ok(here, &["resume", "--json"]);
+    assert_eq!(back["verdict"], "arrived", "{back}");
+    let now = place(&twin);
+    let moved = f64::hypot(now[0] - at[0], now[1] - at[1]);
+    assert!(moved < NOISE_UM, "it stood there already: {moved} um");
+}
+
+#[test]
+fn two_instruments_of_one_name_never_share_a_journal() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    // In real time: there is time enough to meet it at work.
+    let (first, second) = (serve(here, "1"), serve(here, "10"));
+    describe(here, &second.address);
+    fs::rename(here.join("scopeservo.toml"), here.join("second.toml")).unwrap();
+    describe(here, &first.address);
+    let mut at_work = Command::new(env!("CARGO_BIN_EXE_scopeservo"))
+        .current_dir(here)
+        .arg("calibrate")
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let head = here.join("scopeservo-data/journal/bench/head.json");
+    while !head.exists() {
+        assert!(at_work.try_wait().unwrap().is_none(), "never met at work");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let by_second = ["--config", "second.toml", "--json"];
+    for command in [&["focus"][..], &["resume"], &["abandon"]] {
+        let refused = scopeservo(here, &[command, &by_second].concat());
+        let error = json(&refused)["error"].clone();
+        assert_eq!(error["code"], "in_use", "{command:?}: {error}");
+        let message = error["message"].as_str().unwrap();
+        let process = format!("process {}", at_work.id());
+        assert!(
+            message.contains("'bench'") && message.contains(&process),
+            "{message}"
+        );
+    }
+    assert!(head.exists() && at_work.try_wait().unwrap().is_none());
+    at_work.kill().unwrap();
+    at_work.wait().unwrap();
+    // The name is free again, and what waits is told.
+    let waits = scopeservo(here, &[&["focus"][..], &by_second].concat());
+    assert_eq!(json(&waits)["error"]["code"], "unfinished");
+    // With another name it is an instrument of its own.
+    let text = fs::read_to_string(here.join("second.toml")).unwrap();
+    let text = text.replace("\"bench\"", "\"other bench\"");
+    fs::write(here.join("second.toml"), text).unwrap();
+    ok(here, &[&["focus"][..], &by_second].concat());
 }

@@ -72,6 +72,12 @@ pub trait Calibrations {
     /// [`LibraryError::Read`], [`LibraryError::Damaged`].
     fn calibration(&self, objective: &Objective) -> Result<Option<KeptCalibration>, LibraryError>;
 
+    /// Where the newest calibration of an objective lies.
+    ///
+    /// # Errors
+    /// [`LibraryError::Read`].
+    fn calibration_path(&self, objective: &ObjectiveId) -> Result<Option<PathBuf>, LibraryError>;
+
     /// Whether calibrations of these objectives could be kept, before anything is done for them.
     ///
     /// # Errors
@@ -99,12 +105,9 @@ impl Folder {
 
 impl Calibrations for Folder {
     fn calibration(&self, objective: &Objective) -> Result<Option<KeptCalibration>, LibraryError> {
-        let files = entries(&self.calibrations_of(&objective.id))?.into_iter();
-        // Numbered in the order in which they were made, whatever a clock said.
-        let newest = files
-            .filter(|p| is_json(p))
-            .max_by_key(|p| (number_of(p), p.clone()));
-        let Some(path) = newest else { return Ok(None) };
+        let Some(path) = self.calibration_path(&objective.id)? else {
+            return Ok(None);
+        };
         let kept: KeptCalibration = read(&path)?;
         let what = match judge(&kept.calibration, objective) {
             Ok(()) => return Ok(Some(kept)),
@@ -113,6 +116,13 @@ impl Calibrations for Folder {
             }
         };
         Err(LibraryError::Damaged { path, what })
+    }
+
+    fn calibration_path(&self, objective: &ObjectiveId) -> Result<Option<PathBuf>, LibraryError> {
+        let files = entries(&self.calibrations_of(objective))?.into_iter();
+        // Numbered in the order in which they were made, whatever a clock said.
+        let files = files.filter(|p| is_json(p));
+        Ok(files.max_by_key(|p| (number_of(p), p.clone())))
     }
 
     fn try_calibrations(&self, of: &[Objective]) -> Result<(), LibraryError> {

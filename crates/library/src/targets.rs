@@ -39,6 +39,12 @@ pub trait Targets {
     /// [`LibraryError::NoTarget`], [`LibraryError::Damaged`], [`LibraryError::Read`], [`LibraryError::BadName`].
     fn target(&self, name: &str) -> Result<KeptTarget, LibraryError>;
 
+    /// Where a saved target lies.
+    ///
+    /// # Errors
+    /// [`LibraryError::NoTarget`], [`LibraryError::BadName`].
+    fn target_path(&self, name: &str) -> Result<PathBuf, LibraryError>;
+
     /// The picture of a saved target, for people; a target is found again without it.
     fn target_picture(&self, name: &str) -> Option<Frame>;
 
@@ -146,13 +152,17 @@ impl Targets for Folder {
     }
 
     fn target(&self, name: &str) -> Result<KeptTarget, LibraryError> {
-        let Some(path) = self.existing(name)? else {
-            return Err(LibraryError::NoTarget {
+        read_target(&self.target_path(name)?)
+    }
+
+    fn target_path(&self, name: &str) -> Result<PathBuf, LibraryError> {
+        match self.existing(name)? {
+            Some(path) => Ok(path),
+            None => Err(LibraryError::NoTarget {
                 name: name.into(),
                 known: self.target_names()?,
-            });
-        };
-        read_target(&path)
+            }),
+        }
     }
 
     fn target_picture(&self, name: &str) -> Option<Frame> {

@@ -53,6 +53,20 @@ pub enum SetupError {
         /// The number of that program's process, where it left it.
         process: Option<u32>,
     },
+    /// Another program works with an instrument of the same name in the same data folder.
+    #[error(
+        "another program{} works with an instrument that is called '{name}' and keeps its data in {folder}: end that first, or give one of \
+         the two another name",
+        process.map_or(String::new(), |id| format!(", process {id},"))
+    )]
+    NameInUse {
+        /// The name.
+        name: String,
+        /// The folder.
+        folder: PathBuf,
+        /// The number of that program's process, where it left it.
+        process: Option<u32>,
+    },
     /// What tells other programs that this one drives an instrument cannot be written.
     #[error("whether another program drives the instrument cannot be seen: {path}: {source}")]
     Held {

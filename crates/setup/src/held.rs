@@ -1,5 +1,6 @@
 //! One program at a time drives an instrument: a lock for each driver that can move something, by where its device is, so that two
-//! descriptions of one device are one instrument.
+//! descriptions of one device are one instrument; and one for its name in its data folder, so that two instruments never keep their jobs
+//! in one journal.
 //!
 //! The lock is the operating system's, on a file in the folder for temporary files. It is gone with the process that holds it, however
 //! that ends; the file stays, and means nothing by itself.
@@ -42,6 +43,27 @@ impl Held {
         let program = (!program.is_empty()).then(|| program_at(program, Path::new("")));
         let place = tcp.map(at_address).or(program);
         Self::all(place.map(|place| ("the driver".to_owned(), place)))
+    }
+
+    /// Takes the name and the data folder of a description: what is kept there of a job under way is that of one instrument, whatever its
+    /// devices are.
+    ///
+    /// # Errors
+    /// [`SetupError::NameInUse`], [`SetupError::Held`].
+    pub fn data(config: &Config) -> Result<Self, SetupError> {
+        let folder = config.resolve(&config.data_folder);
+        let place = format!("data {}\0{}", begun(&folder).display(), config.name);
+        Self::all([(config.name.clone(), place)]).map_err(|error| match error {
+            SetupError::InUse {
+                what: name,
+                process,
+            } => SetupError::NameInUse {
+                name,
+                folder,
+                process,
+            },
+            error => error,
+        })
     }
 
     fn all(places: impl IntoIterator<Item = (String, String)>) -> Result<Self, SetupError> {
@@ -93,6 +115,18 @@ fn program_at(program: &[String], folder: &Path) -> String {
 /// The path without links and detours, where there is such a file.
 fn real(path: &Path) -> PathBuf {
     path.canonicalize().unwrap_or_else(|_| path.into())
+}
+
+/// The path without links and detours as far as it exists; the rest may come.
+fn begun(path: &Path) -> PathBuf {
+    let whole = std::path::absolute(path).unwrap_or_else(|_| path.into());
+    let there = whole.ancestors().find_map(|at| {
+        let rest = whole.strip_prefix(at).ok()?;
+        // By its parts: joining nothing to it would add a slash.
+        let there = at.canonicalize().ok()?;
+        Some(there.components().chain(rest.components()).collect())
+    });
+    there.unwrap_or(whole)
 }
 
 /// The same for every version of this program: the name is the place's FNV-1a sum.

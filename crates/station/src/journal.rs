@@ -32,7 +32,8 @@ pub trait Journal: Send + Sync {
         Ok(())
     }
 
-    /// The job has ended, and its state is of no use any more. Not called when the program is killed.
+    /// The job has ended, before that is told; whether its state is of use still is for whoever keeps the answer to say. Not called when
+    /// the program is killed.
     ///
     /// # Errors
     /// Told as an event; the answer stands.

@@ -11,7 +11,7 @@ use crate::progress::Watcher;
 use scopeservo_library::Calibrations as _;
 use scopeservo_scope::{Objective, ObjectiveId};
 use scopeservo_servo::{Calibration, FocusOptions};
-use scopeservo_station::jobs::{CalibrateInput, CalibrateJob};
+use scopeservo_station::jobs::{CalibrateInput, CalibrateJob, CalibrateOutput};
 use serde_json::json;
 use std::path::Path;
 
@@ -50,12 +50,31 @@ pub(super) fn run(
 ) -> Result<bool, CliError> {
     answer.put(json!({"calibrations": []}));
     let ran = desk.run(job, asked, &mut Watcher::new(None), answer)?;
-    show_made(answer, &ran.made);
+    match &ran.output {
+        Ok(output) => show_made(answer, &all_made(desk, output, &ran.made)),
+        Err(_) => show_made(answer, &ran.made),
+    }
     ran.end(None, answer).map(|_| true)
 }
 
+/// What the job made, those included that a program made and kept before it was killed.
+fn all_made(desk: &Desk, output: &CalibrateOutput, now: &[Made]) -> Vec<Made> {
+    let all = output.made.iter().map(|calibration| {
+        let made_now = now.iter().find(|made| made.calibration == *calibration);
+        made_now.cloned().unwrap_or_else(|| {
+            let objective = &calibration.calibration.objective;
+            let file = desk.library.calibration_path(objective);
+            Made {
+                calibration: calibration.clone(),
+                file: file.ok().flatten(),
+            }
+        })
+    });
+    all.collect()
+}
+
 /// What was measured, and where it is kept.
-pub(super) fn show_made(answer: &Answer, made: &[Made]) {
+fn show_made(answer: &Answer, made: &[Made]) {
     for Made { calibration, file } in made {
         let made = calibration;
         show_calibration(answer, &made.calibration, made.residual_px);

@@ -9,7 +9,7 @@ use crate::error::CliError;
 use crate::journal::{self, Asked};
 use crate::views::try_out;
 use scopeservo_library::{Journal as _, Targets as _};
-use scopeservo_setup::Config;
+use scopeservo_setup::{Config, Held};
 use scopeservo_station::jobs::AnyJob;
 use serde_json::json;
 
@@ -61,6 +61,9 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
     match job {
         AnyJob::Focus(job) => focus::run(&desk, *job, asked, answer),
         AnyJob::Calibrate(job) => calibrate::run(&desk, *job, asked, answer),
+        AnyJob::SaveTarget(_) if library.target_path(name).is_ok() => {
+            save_target::was_kept(&desk, name, answer)
+        }
         AnyJob::SaveTarget(job) => save_target::run(&desk, name, *job, asked, answer),
         AnyJob::Reposition(job) => {
             reposition::run(&desk, name, *job, asked, &args.report.out, answer)
@@ -74,6 +77,8 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
 pub(crate) fn abandon(args: &AbandonArgs, answer: &Answer) -> Result<bool, CliError> {
     let library = library_of(&args.description)?;
     let config = Config::read(&args.description.config)?;
+    // One that is at work is no business of ours.
+    let _held = Held::data(&config)?;
     // One that cannot be read is ended as well.
     let left = answer.or_warn(library.journal(&config.name)).flatten();
     library.end_journal(&config.name)?;

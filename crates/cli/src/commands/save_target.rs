@@ -9,7 +9,7 @@ use crate::journal::Asked;
 use crate::progress::Watcher;
 use scopeservo_library::Targets as _;
 use scopeservo_scope::ObjectiveId;
-use scopeservo_servo::{FocusOptions, VisionOptions};
+use scopeservo_servo::{FocusOptions, Target, VisionOptions};
 use scopeservo_station::jobs::{SaveTargetInput, SaveTargetJob, SaveTargetOutput};
 use serde_json::json;
 
@@ -57,6 +57,27 @@ pub(super) fn run(
     kept.map(|()| true)
 }
 
+/// The program was killed after the target was kept, and before it said so.
+pub(super) fn was_kept(desk: &Desk, name: &str, answer: &Answer) -> Result<bool, CliError> {
+    let target = desk.library.target(name)?.target;
+    tell(name, &target, desk, answer);
+    let file = desk.library.target_path(name)?;
+    answer.put(json!({"file": file.to_string_lossy()}));
+    say!(answer, "'{name}' was saved before the program ended");
+    desk.end_left()?;
+    Ok(true)
+}
+
+fn tell(name: &str, target: &Target, desk: &Desk, answer: &Answer) {
+    answer.put(json!({
+        "name": name,
+        "objective": target.objective,
+        "features": target.features.len(),
+        "moved_features": target.moved,
+        "shadows": desk.scope.flat_field().map_or(0, |seen| seen.shadows()),
+    }));
+}
+
 fn keep(
     desk: &Desk,
     name: &str,
@@ -71,13 +92,7 @@ fn keep(
     let (features, moved) = (target.features.len(), target.moved);
     let no_picture = || CliError::Internal("the target has no picture".into());
     let frame = frame.as_ref().ok_or_else(no_picture)?;
-    answer.put(json!({
-        "name": name,
-        "objective": target.objective,
-        "features": features,
-        "moved_features": moved,
-        "shadows": desk.scope.flat_field().map_or(0, |seen| seen.shadows()),
-    }));
+    tell(name, target, desk, answer);
     let instrument = &desk.config.name;
     let library = &desk.library;
     let file = library.keep_target(name, instrument, *stage, target.clone(), frame)?;
