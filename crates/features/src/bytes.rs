@@ -4,6 +4,7 @@ use crate::sift_engine;
 use crate::{Descriptors, FeatureError, Features, Keypoint};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Those of any engine.
 const MAGIC: &[u8; 4] = b"SSF2";
@@ -12,11 +13,11 @@ const SIFT_ONLY: &[u8; 4] = b"SSF1";
 /// Bytes of a keypoint.
 const KEYPOINT: usize = 5 * 4 + 4;
 
-pub(crate) fn to_text(features: &Features) -> String {
+fn to_text(features: &Features) -> String {
     STANDARD.encode(features.to_bytes())
 }
 
-pub(crate) fn from_text(text: &str) -> Result<Features, FeatureError> {
+fn from_text(text: &str) -> Result<Features, FeatureError> {
     let bytes = STANDARD.decode(text);
     Features::from_bytes(&bytes.map_err(|e| FeatureError::Damaged(e.to_string()))?)
 }
@@ -160,6 +161,32 @@ fn read(bytes: &[u8]) -> Option<Features> {
         keypoints,
         descriptors,
     })
+}
+
+impl Serialize for Features {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to_text(self).serialize(to)
+    }
+}
+
+impl<'de> Deserialize<'de> for Features {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        /// As text, and as it was written out before there was more than one engine.
+        #[derive(Deserialize)]
+        #[serde(untagged)]
+        enum Stored {
+            Text(String),
+            Written(scopeservo_sift::Features),
+        }
+        let features = match Stored::deserialize(from)? {
+            Stored::Text(text) => from_text(&text),
+            Stored::Written(features) => {
+                let features = Self::from(&features);
+                features.check().map(|()| features)
+            }
+        };
+        features.map_err(serde::de::Error::custom)
+    }
 }
 
 #[cfg(test)]

@@ -2,7 +2,6 @@
 
 use crate::{Descriptors, FeatureError, Keypoint};
 use scopeservo_sift::SiftError;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// All features of one picture: a value that can be kept and compared later without it.
 ///
@@ -103,31 +102,5 @@ impl Features {
             Some(index) => Err(SiftError::BadKeypoint { index }.into()),
             None => Ok(()),
         }
-    }
-}
-
-impl Serialize for Features {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        crate::bytes::to_text(self).serialize(to)
-    }
-}
-
-impl<'de> Deserialize<'de> for Features {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        /// As text, and as it was written out before there was more than one engine.
-        #[derive(Deserialize)]
-        #[serde(untagged)]
-        enum Stored {
-            Text(String),
-            Written(scopeservo_sift::Features),
-        }
-        let features = match Stored::deserialize(from)? {
-            Stored::Text(text) => crate::bytes::from_text(&text),
-            Stored::Written(features) => {
-                let features = Self::from(&features);
-                features.check().map(|()| features)
-            }
-        };
-        features.map_err(serde::de::Error::custom)
     }
 }
