@@ -1,12 +1,9 @@
 //! Features of a view and of a target that are each other's likely image: all that a registration works on, whichever engine found them.
 
 use crate::significance::occupied_area;
-use crate::{NotFound, Options, Prior};
+use crate::{NotFound, Options, Prior, Shapes};
 use scopeservo_features::{FeatureEngine, Features, Keypoint, MatchOptions};
 use scopeservo_geometry::{Correspondence, Vec2};
-
-/// How two keypoints lie: sigma in the view and in the target, pixels; angle in the view and in the target, radians.
-pub type Shapes = [f64; 4];
 
 /// Fewer features or matches than this can never pass the significance test.
 pub(crate) const MIN_MATCHES: usize = 5;

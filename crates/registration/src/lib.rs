@@ -30,11 +30,11 @@ mod search;
 pub mod significance;
 
 pub use contest::undecided;
-pub use correspondences::{Correspondences, Shapes};
+pub use correspondences::Correspondences;
 pub use options::{Method, Options};
 pub use outcome::{Estimate, NotFound, Registration};
 pub use period::periods;
 pub use pictures::{Allow, PictureVerdict, register_pictures};
-pub use prior::{Prior, RotationPrior, ScalePrior};
+pub use prior::{Prior, RotationPrior, ScalePrior, Shapes};
 pub use register::{register, register_correspondences};
 pub use rival::{Rival, find_rivals, shifted};

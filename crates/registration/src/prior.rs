@@ -1,6 +1,5 @@
 //! What is known of the transform before looking.
 
-use crate::correspondences::Shapes;
 use scopeservo_features::{Gate, Keypoint};
 use scopeservo_geometry::Affine2;
 use serde::{Deserialize, Serialize};
@@ -11,6 +10,9 @@ use std::f64::consts::{PI, TAU};
 const KEYPOINT_SCALE_SLACK: f64 = 1.6;
 /// How far the angle of two matched keypoints may be from the rotation of the whole picture.
 const KEYPOINT_ANGLE_SLACK_RAD: f64 = 0.4;
+
+/// How two keypoints lie: sigma in the view and in the target, pixels; angle in the view and in the target, radians.
+pub type Shapes = [f64; 4];
 
 /// Lengths in the target over lengths in the view.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
