@@ -1,6 +1,6 @@
 //! Saved views.
 
-use super::{AnswerArgs, ConfigArgs, InstrumentArgs};
+use super::common::{AnswerArgs, ConfigArgs, InstrumentArgs};
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
 

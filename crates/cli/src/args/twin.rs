@@ -1,6 +1,6 @@
 //! The simulated microscope, and two pictures without any.
 
-use super::AnswerArgs;
+use super::common::AnswerArgs;
 use clap::{Args, Subcommand, ValueEnum};
 use std::path::PathBuf;
 

@@ -1,6 +1,6 @@
 //! What is asked of an instrument: to move, focus, calibrate and come back.
 
-use super::{AnswerArgs, ConfigArgs, InstrumentArgs, ReportArgs};
+use super::common::{AnswerArgs, ConfigArgs, InstrumentArgs, ReportArgs};
 use clap::{Args, Subcommand};
 
 #[derive(Debug, Args)]
