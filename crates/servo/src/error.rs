@@ -1,6 +1,6 @@
 //! What can stop a procedure.
 
-use crate::target::rival_in_words;
+use crate::words::rival_in_words;
 use scopeservo_features::FeatureError;
 use scopeservo_registration::{NotFound, Rival};
 use scopeservo_scope::{ObjectiveId, ScopeError};

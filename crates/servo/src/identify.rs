@@ -4,17 +4,15 @@
 use crate::event::tell;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress, withdrawn};
-use crate::proof::LEAST_PX;
-use crate::proof::SEEN_PX;
+use crate::proof::{LEAST_PX, SEEN_PX};
+use crate::small_step::{SHARE, directions, place};
 use crate::vision::{centre_px, grab, gray, same_objective};
-use crate::{Event, FrameRole, ServoError, Sink, VisionOptions};
+use crate::{Event, FrameRole, Identity, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
 use scopeservo_registration::{NotFound, Prior};
 use scopeservo_scope::{Axis, ErrorKind, Instrument, Objective, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 
-/// The move, as a share of the smallest field that any objective of the instrument has: it stays in the field whichever is in.
-pub(crate) const SHARE: f64 = 0.2;
 /// The move is at least this many times what the stage scatters, if that leaves half of the field of the objective that was told.
 const SCATTERS: f64 = 20.0;
 /// The move is halved at most so often when the views are not found.
@@ -27,17 +25,6 @@ const STAYS: f64 = 0.33;
 const NOMINAL_FACTOR: f64 = 1.5;
 /// Objectives whose scales are nearer than this to each other look the same.
 const ALIKE: f64 = 1.15;
-
-/// What the picture tells.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Identity {
-    /// Measured um per pixel.
-    pub um_per_px: f64,
-    /// The objective that this fits; `None` when it fits none.
-    pub looks_like: Option<ObjectiveId>,
-    /// Whether it is the one that is said to be there, as far as the scale tells.
-    pub as_told: bool,
-}
 
 /// The check as a step machine: three moves and two views per step. The view must be in focus.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -124,25 +111,6 @@ impl Identify {
             },
             as_told,
         }
-    }
-}
-
-/// Directions in x and y, with the axis' scatter: half-width in metres.
-pub(crate) fn directions(scope: &Instrument) -> Vec<(Vec2, f64)> {
-    let axes = [(Axis::X, [1.0, 0.0]), (Axis::Y, [0.0, 1.0])];
-    let there = axes
-        .iter()
-        .filter_map(|(axis, unit)| Some((unit, scope.gate().info().axis(*axis)?.repeatability)));
-    there
-        .flat_map(|(unit, scatter)| [1.0, -1.0].map(|sign| (unit.map(|u| sign * u), scatter)))
-        .collect()
-}
-
-/// The place `k` steps away from `home`.
-pub(crate) fn place(home: &PlanarPose, along: Vec2, step_m: f64, k: f64) -> PlanarPose {
-    PlanarPose {
-        x_m: [0, 1].map(|i| home.x_m[i] + k * step_m * along[i]),
-        ..*home
     }
 }
 

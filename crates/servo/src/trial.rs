@@ -2,9 +2,9 @@
 //!
 //! A stage whose unit is wrong by a thousand agrees with itself in all that it reports. Only a picture shows it.
 
-use crate::identify::{SHARE, directions, place};
 use crate::kinematics::PlanarPose;
 use crate::procedure::run;
+use crate::small_step::{SHARE, directions, place};
 use crate::vision::{centre_px, gray, same_objective};
 use crate::{Identify, Identity, NoSink, ServoError, VisionOptions};
 use scopeservo_features::Features;

@@ -2,7 +2,7 @@
 
 use super::fixed::{FixedPlaces, Parallax};
 use crate::event::tell;
-use crate::identify::{directions, place};
+use crate::small_step::{directions, place};
 use crate::vision::{grab, gray};
 use crate::{Event, FrameRole, PlanarPose, ServoError, Sink, VisionOptions};
 use scopeservo_features::{Features, GrayImage};

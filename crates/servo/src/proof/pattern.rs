@@ -6,7 +6,7 @@
 
 use super::aside::{Seen, is_free, look};
 use crate::event::tell;
-use crate::identify::{directions, place};
+use crate::small_step::{directions, place};
 use crate::vision::{grab, gray_of, to_gray};
 use crate::{Event, FrameRole, PlanarPose, ServoError, Sink, VisionOptions};
 use scopeservo_features::{Features, GrayImage};

@@ -1,7 +1,8 @@
 //! The end of a run in words.
 
 use super::{Reason, Verdict};
-use crate::target::{MIN_TARGET_FEATURES, rival_in_words};
+use crate::target::MIN_TARGET_FEATURES;
+use crate::words::rival_in_words;
 use crate::{ServoEnd, ServoResult};
 
 /// The answer that the end of the last loop means, at the magnification `at`. `seen_below`: the target was seen at a lower one.

@@ -1,8 +1,8 @@
 //! What the servo asks of a view beyond its pose: is this the specimen, and is it the only place that looks like this?
 
-use super::Servo;
 use super::convergence::Criteria;
 use super::sight::{Located, Sight};
+use super::state::Servo;
 use crate::procedure::Progress;
 use crate::proof::{Aside, FOLLOWS, Parallax, Proved, Seen, Station, far_from_goal, step_aside};
 use crate::vision::{grab, gray};

@@ -1,7 +1,7 @@
 //! What the loop's state takes from a frame: found and moved away from, lost, or to be looked at again.
 
-use super::Servo;
 use super::sight::{Located, Sight};
+use super::state::Servo;
 use crate::event::tell;
 use crate::{Event, Progress, ServoEnd, ServoTask, Sink, Velocity};
 use scopeservo_registration::NotFound;

@@ -9,24 +9,19 @@ pub(crate) mod end;
 mod expected;
 mod frames;
 pub(crate) mod options;
+pub(crate) mod run;
 mod sight;
+mod state;
 pub(crate) mod task;
 
+use crate::vision::grab;
 use crate::{FrameRole, Progress, ServoEnd, ServoError, ServoTask, Sink, event::tell};
-use crate::{proof::Proof, vision::grab};
 use belief::Belief;
-use convergence::{Convergence, Standing};
+use convergence::Standing;
 use scopeservo_scope::Instrument;
-use serde::{Deserialize, Serialize};
 use sight::{Sight, View};
 
-/// The loop's state.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct Servo {
-    convergence: Convergence,
-    expected: expected::Expected,
-    proof: Proof,
-}
+pub use state::Servo;
 
 impl Servo {
     /// One iteration.

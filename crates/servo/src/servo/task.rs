@@ -1,10 +1,9 @@
 //! What a servo loop needs to know.
 
 use super::convergence::Criteria;
-use crate::procedure::{Procedure, Progress};
 use crate::{
     Calibration, ControlLaw, Expected, FeatureLocalizer, Localizer, Measurement, PoseEstimate,
-    Servo, ServoEnd, ServoError, ServoOptions, Sink, Target, Velocity, VisionOptions,
+    ServoError, ServoOptions, Target, Velocity, VisionOptions,
 };
 use scopeservo_features::GrayImage;
 use scopeservo_registration::{NotFound, Rival};
@@ -85,33 +84,5 @@ impl ServoTask<'_> {
             theta_rad: if turns { velocity.theta_rad } else { 0.0 },
             ..velocity
         }
-    }
-}
-
-/// A loop together with its task, as a procedure: the loop's state is stored, its task is borrowed.
-pub struct ServoRun<'a> {
-    servo: &'a mut Servo,
-    task: ServoTask<'a>,
-}
-
-impl Servo {
-    /// This loop as a [`Procedure`].
-    pub fn on<'a>(&'a mut self, task: &ServoTask<'a>) -> ServoRun<'a> {
-        ServoRun {
-            servo: self,
-            task: *task,
-        }
-    }
-}
-
-impl Procedure for ServoRun<'_> {
-    type Output = ServoEnd;
-
-    fn step(
-        &mut self,
-        scope: &Instrument,
-        sink: &mut dyn Sink,
-    ) -> Result<Progress<ServoEnd>, ServoError> {
-        self.servo.step(&self.task, scope, sink)
     }
 }

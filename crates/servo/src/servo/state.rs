@@ -1,0 +1,14 @@
+//! What a servo loop remembers from frame to frame.
+
+use super::convergence::Convergence;
+use super::expected::Expected;
+use crate::proof::Proof;
+use serde::{Deserialize, Serialize};
+
+/// The loop's state.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Servo {
+    pub(super) convergence: Convergence,
+    pub(super) expected: Expected,
+    pub(super) proof: Proof,
+}

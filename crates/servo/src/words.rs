@@ -1,0 +1,20 @@
+//! Words for people that errors and answers share.
+
+use scopeservo_registration::Rival;
+
+/// What a rival is, for people: the way from one place to the other that looks like it.
+pub(crate) fn rival_in_words(rival: &Rival, um_per_px: Option<f64>) -> String {
+    let [x, y] = rival.shift_px;
+    let turned = match rival.turn_rad.to_degrees() {
+        deg if deg.abs() >= 0.5 => format!(", turned by {deg:.0} deg"),
+        _ => String::new(),
+    };
+    match um_per_px {
+        Some(um) => format!(
+            "{:.1}, {:.1} um ({x:.0}, {y:.0} px{turned})",
+            x * um,
+            y * um
+        ),
+        None => format!("{x:.0}, {y:.0} px{turned}"),
+    }
+}
