@@ -18,26 +18,35 @@
 )]
 
 mod bus;
+mod control;
 mod error;
 mod job;
+mod job_state;
 pub mod jobs;
 mod journal;
+mod kept;
 mod lease;
+mod lifecycle;
 mod line;
 mod news;
 mod question;
+mod questions;
 mod session;
+mod shared;
 mod work;
 
 pub use bus::{Bus, FrameKeeper, Heard, Keeper, LOG_BYTES, Listener, Shown};
 pub use error::{JobError, Refusal};
-pub use job::{Ended, Job, JobHandle, JobId, JobInfo, JobState, Pause};
+pub use job::{Job, JobHandle};
+pub use job_state::{Ended, JobId, JobInfo, JobState, Pause};
 pub use journal::{Journal, JournalError, MemoryJournal, NoJournal};
+pub use kept::{Kept, MadeCalibration};
 pub use lease::Lease;
 pub use news::{News, Record, StationEvent};
-pub use question::{Ask, Question, QuestionId, QuestionKind, Questions};
+pub use question::{Question, QuestionId, QuestionKind};
+pub use questions::{Ask, Questions};
 pub use session::{Parts, Session};
-pub use work::{Kept, MadeCalibration, UseCase, Work};
+pub use work::{UseCase, Work};
 
 /// What a panic left behind a lock is whole: every value is replaced in one go.
 fn lock<T: ?Sized>(mutex: &std::sync::Mutex<T>) -> std::sync::MutexGuard<'_, T> {

@@ -1,17 +1,15 @@
 //! One open instrument, and the jobs on it.
 
-use crate::job::{Core, Slot};
+use crate::control::Control;
+use crate::job::Slot;
 use crate::lease::Leases;
 use crate::line::Line;
+use crate::shared::Shared;
 use crate::{
-    Bus, Ended, Job, JobError, JobHandle, JobId, JobInfo, JobState, Journal, JournalError, Lease,
-    Listener, News, NoJournal, Pause, QuestionId, Questions, Refusal, StationEvent, UseCase, Work,
-    lock,
+    Bus, Job, JobHandle, JobId, JobInfo, Journal, Lease, Listener, News, NoJournal, QuestionId,
+    Questions, Refusal, StationEvent, UseCase, lock,
 };
 use scopeservo_scope::{Clock, Instrument, ScopeError, SystemClock};
-use scopeservo_servo::Progress;
-use std::any::Any;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
@@ -38,15 +36,6 @@ impl Default for Parts {
             lease_clock: Arc::new(SystemClock::new()),
         }
     }
-}
-
-pub(crate) struct Shared {
-    pub(crate) scope: Arc<Instrument>,
-    pub(crate) bus: Bus,
-    pub(crate) questions: Questions,
-    pub(crate) journal: Arc<dyn Journal>,
-    pub(crate) leases: Leases,
-    line: Line,
 }
 
 /// One open instrument. Any thread may use it; when it is dropped its jobs are stopped.
@@ -129,25 +118,25 @@ impl Session {
     pub fn start<U: UseCase>(&self, lease: &Lease, case: U) -> Result<Job<U::Output>, Refusal> {
         let shared = &self.shared;
         shared.leases.check(lease)?;
-        let core = shared.line.enter(|id| {
+        let control = shared.line.enter(|id| {
             let info = JobInfo {
                 id,
                 kind: case.kind().to_owned(),
                 owner: lease.owner().to_owned(),
             };
-            Core::new(info, lease, shared.scope.job_token())
+            Control::new(info, lease, shared.scope.job_token())
         });
-        let info = core.info.clone();
+        let info = control.info.clone();
         shared.bus.station(StationEvent::JobQueued { info });
         let slot: Slot<U::Output> = Arc::default();
-        let job = Job::new(JobHandle::new(core.clone(), shared), slot.clone());
-        let of_thread = (shared.clone(), core.clone());
+        let job = Job::new(JobHandle::new(control.clone(), shared), slot.clone());
+        let of_thread = (shared.clone(), control.clone());
         let thread = thread::Builder::new().spawn(move || {
-            let (shared, core) = of_thread;
-            shared.carry_out(&core, case, &slot);
+            let (shared, control) = of_thread;
+            shared.carry_out(&control, case, &slot);
         });
         let thread = thread.map_err(|error| {
-            shared.line.leave(&core);
+            shared.line.leave(&control);
             let why = error.to_string();
             Refusal::NoThread { why }
         })?;
@@ -170,7 +159,7 @@ impl Session {
     /// The job under way, and those that wait for their turn.
     pub fn jobs(&self) -> Vec<JobHandle> {
         let jobs = self.shared.line.jobs().into_iter();
-        jobs.map(|core| JobHandle::new(core, &self.shared))
+        jobs.map(|control| JobHandle::new(control, &self.shared))
             .collect()
     }
 
@@ -214,124 +203,4 @@ impl Drop for Session {
         }
         self.shared.scope.gate().observe(None);
     }
-}
-
-impl Shared {
-    /// Stops one job, or everything. What moves for it is stopped from here too, should its thread hang in a device.
-    pub(crate) fn stop(&self, one: Option<&Arc<Core>>) -> Result<(), ScopeError> {
-        // No job begins meanwhile: it would be stopped in place of the one that is meant.
-        let (_stopping, jobs) = self.line.stopping();
-        let is_meant = |job: &Arc<Core>| one.is_none_or(|one| Arc::ptr_eq(one, job));
-        for job in jobs.iter().filter(|job| is_meant(job)) {
-            job.cancel.cancel();
-        }
-        let told = match one.is_none() || jobs.first().is_some_and(is_meant) {
-            true => self.scope.gate().stop(),
-            false => return Ok(()),
-        };
-        self.questions.cancel_all();
-        for job in jobs.iter().filter(|job| is_meant(job)) {
-            job.wake();
-        }
-        told
-    }
-
-    /// The whole life of a job, on its thread.
-    fn carry_out<U: UseCase>(&self, core: &Arc<Core>, case: U, slot: &Slot<U::Output>) {
-        let has_turn = self.line.wait_turn(core);
-        let has_journal = has_turn && case.can_go_on();
-        let result = match has_turn {
-            false => Err(JobError::Stopped { at: None }),
-            true => {
-                self.bus.belongs_to(Some(core.info.id));
-                catch_unwind(AssertUnwindSafe(|| self.run(core, case))).unwrap_or_else(|panic| {
-                    // It may have been in the middle of a move; what went wrong is the news.
-                    let _ = catch_unwind(AssertUnwindSafe(|| self.scope.gate().stop()));
-                    Err(JobError::Mistake {
-                        what: words(&*panic),
-                    })
-                })
-            }
-        };
-        let how = Ended::of(&result);
-        // A journal or a keeper that panics does not take the line with it.
-        let _ = catch_unwind(AssertUnwindSafe(|| {
-            if has_journal && let Err(error) = self.journal.ended(&core.info, &how) {
-                self.not_kept(core, &error);
-            }
-            let (id, how) = (core.info.id, how.clone());
-            self.bus.station(StationEvent::JobEnded { id, how });
-        }));
-        if has_turn {
-            self.bus.belongs_to(None);
-        }
-        self.line.leave(core);
-        *lock(slot) = Some(result);
-        core.set(JobState::Ended(how));
-    }
-
-    fn run<U: UseCase>(&self, core: &Arc<Core>, mut case: U) -> Result<U::Output, JobError> {
-        let _obeying = self.scope.obey(&core.cancel)?;
-        self.scope.command_begins();
-        core.set(JobState::Running);
-        let info = core.info.clone();
-        self.bus.station(StationEvent::JobBegan { info });
-        let mut work = Work::new(self, core);
-        let mut step = 0;
-        loop {
-            self.await_leave_to_go_on(core)?;
-            let state = || serde_json::to_vec(&case).map_err(|e| JournalError(e.to_string()));
-            if case.can_go_on() {
-                self.journal.before_step(&core.info, step, &state)?;
-            }
-            if let Progress::Done(output) = case.step(&mut work)? {
-                return Ok(output);
-            }
-            step += 1;
-        }
-    }
-
-    /// Waits while somebody wants a pause or nobody has the lease; an error when a stop was asked for.
-    fn await_leave_to_go_on(&self, core: &Core) -> Result<(), JobError> {
-        let id = core.info.id;
-        loop {
-            self.scope.check_cancel()?;
-            let lease = core.standing().lease;
-            let is_held = self.leases.is_held(lease);
-            let at = core.standing();
-            let why = match (at.pause_asked, is_held || at.lease != lease) {
-                (true, _) => Some(Pause::Asked),
-                (false, false) => Some(Pause::LeaseLost),
-                (false, true) => None,
-            };
-            let now = match why {
-                Some(why) => JobState::Paused { why },
-                None => JobState::Running,
-            };
-            if at.state != now {
-                drop(at);
-                core.set(now);
-                self.bus.station(match why {
-                    Some(why) => StationEvent::JobPaused { id, why },
-                    None => StationEvent::JobResumed { id },
-                });
-            } else if why.is_none() {
-                return Ok(());
-            } else {
-                drop(core.wait_change(at));
-            }
-        }
-    }
-
-    fn not_kept(&self, core: &Core, error: &JournalError) {
-        let (id, why) = (core.info.id, error.to_string());
-        self.bus.station(StationEvent::NotKept { id, why });
-    }
-}
-
-/// What a panic said.
-fn words(panic: &(dyn Any + Send)) -> String {
-    let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
-    let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
-    text.unwrap_or_else(|| "it did not say what".into())
 }

@@ -1,12 +1,12 @@
 //! A job as it sees itself: a use case that is stepped, and what it may touch.
 
-use crate::job::Core;
+use crate::control::Control;
 use crate::jobs::Finding;
-use crate::session::Shared;
-use crate::{Bus, JobError, QuestionKind, StationEvent, lock};
-use scopeservo_scope::{FlatField, Frame, Instrument, Objective, ObjectiveId};
+use crate::shared::Shared;
+use crate::{Bus, JobError, Kept, MadeCalibration, QuestionKind, StationEvent, lock};
+use scopeservo_scope::{Frame, Instrument, Objective, ObjectiveId};
 use scopeservo_servo::{Calibration, Event, FrameRole, Procedure, Progress, Sink, Stamped};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -31,30 +31,10 @@ pub trait UseCase: Serialize + Send + 'static {
     fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<Self::Output>, JobError>;
 }
 
-/// A calibration that a job made.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct MadeCalibration {
-    /// The calibration.
-    pub calibration: Calibration,
-    /// Root mean square residual of its views, pixels.
-    pub residual_px: Option<f64>,
-    /// Where the objective was in focus, um.
-    pub focus_z_um: Option<f64>,
-}
-
-/// What a job made that is worth keeping, however it ends.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Kept {
-    /// A calibration.
-    Calibration(Box<MadeCalibration>),
-    /// What lies on the camera, as it was seen last.
-    Shadows(Arc<FlatField>),
-}
-
 /// What a use case may touch.
 pub struct Work<'a> {
     shared: &'a Shared,
-    core: &'a Core,
+    control: &'a Control,
     ears: Ears,
 }
 
@@ -90,13 +70,17 @@ impl Sink for Ears {
 }
 
 impl<'a> Work<'a> {
-    pub(crate) fn new(shared: &'a Shared, core: &'a Core) -> Self {
+    pub(crate) fn new(shared: &'a Shared, control: &'a Control) -> Self {
         let ears = Ears {
             bus: shared.bus.clone(),
             residual_px: BTreeMap::new(),
             target: None,
         };
-        Self { shared, core, ears }
+        Self {
+            shared,
+            control,
+            ears,
+        }
     }
 
     /// The instrument.
@@ -129,13 +113,10 @@ impl<'a> Work<'a> {
 
     /// Keeps something, however the job ends.
     pub fn keep(&mut self, kept: Kept) {
-        let info = &self.core.info;
-        if let Err(error) = self.shared.journal.kept(info, &kept) {
-            let why = error.to_string();
-            let event = StationEvent::NotKept { id: info.id, why };
-            self.shared.bus.station(event);
+        if let Err(error) = self.shared.journal.kept(&self.control.info, &kept) {
+            self.shared.not_kept(self.control, &error);
         }
-        lock(&self.core.kept).push(kept);
+        lock(&self.control.kept).push(kept);
     }
 
     /// A calibration with what else is known of it; it is kept.
@@ -184,7 +165,7 @@ impl<'a> Work<'a> {
     /// # Errors
     /// [`JobError::Stopped`] when a stop came first.
     pub fn ask(&mut self, kind: QuestionKind) -> Result<bool, JobError> {
-        let wanted = || !self.core.cancel.is_cancelled();
+        let wanted = || !self.control.cancel.is_cancelled();
         let answer = self.shared.questions.ask(kind, &wanted);
         self.scope().check_cancel()?;
         answer.ok_or(JobError::Stopped { at: None })
