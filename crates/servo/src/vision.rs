@@ -37,12 +37,19 @@ impl Default for VisionOptions {
 impl VisionOptions {
     /// Features of a view.
     pub(crate) fn of_view(&self, image: &GrayImage) -> Result<Features, ServoError> {
-        Ok(self.engine.features(image, self.view_features)?)
+        self.found(image, self.view_features)
     }
 
     /// Features of a target.
     pub(crate) fn of_target(&self, image: &GrayImage) -> Result<Features, ServoError> {
-        Ok(self.engine.features(image, self.target_features)?)
+        self.found(image, self.target_features)
+    }
+
+    /// An engine may be anybody's: what it gives is checked before a state or a file holds it.
+    fn found(&self, image: &GrayImage, most: usize) -> Result<Features, ServoError> {
+        let features = self.engine.features(image, most)?;
+        features.check()?;
+        Ok(features)
     }
 
     /// Registers one picture's features to another's.

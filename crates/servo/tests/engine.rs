@@ -118,6 +118,42 @@ fn features_made_again_count_only_where_the_specimen_was_seen_to_move() {
     );
 }
 
+/// Forgets to describe its last keypoint.
+#[derive(Debug, Default)]
+struct Careless(SiftEngine);
+
+impl FeatureEngine for Careless {
+    fn name(&self) -> &str {
+        "careless"
+    }
+
+    fn info(&self) -> EngineInfo {
+        self.0.info()
+    }
+
+    fn features(&self, image: &GrayImage, most: usize) -> Result<Features, FeatureError> {
+        let mut found = self.0.features(image, most)?;
+        if let Descriptors::Bytes { data, .. } = &mut found.descriptors {
+            data.truncate(data.len().saturating_sub(128));
+        }
+        Ok(found)
+    }
+}
+
+#[test]
+fn an_engine_with_a_mistake_is_told_and_nothing_is_kept_of_it() {
+    let bench = bench(one_objective());
+    let vision = VisionOptions {
+        engine: Engine::new(Careless::default()),
+        ..VisionOptions::default()
+    };
+    let saved = Target::save(&bench.scope, &vision, &mut NoSink);
+    assert!(
+        matches!(&saved, Err(ServoError::Features(e)) if e.to_string().contains("descriptors")),
+        "{saved:?}"
+    );
+}
+
 /// Misses some frames, and keeps the features to itself.
 #[derive(Debug)]
 struct Forgetful<'a> {
