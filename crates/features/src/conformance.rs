@@ -77,7 +77,7 @@ fn spots() -> impl Iterator<Item = [f64; 6]> {
     })
 }
 
-/// A similarity about the picture's centre, and its inverse.
+/// A similarity about the picture's centre.
 #[derive(Clone, Copy)]
 struct Warp {
     scale: f64,

@@ -54,11 +54,6 @@ impl Mask {
         (size, bytes.collect())
     }
 
-    /// Columns and rows of the picture.
-    pub fn size(&self) -> [usize; 2] {
-        [self.width, self.height]
-    }
-
     /// Whether the cell of a place counts; outside of the picture nothing does.
     pub fn holds(&self, [x, y]: [f64; 2]) -> bool {
         // The first pixel begins half a pixel before its centre.
