@@ -14,6 +14,7 @@ use thiserror::Error;
 
 /// How long one waits for the program before to leave.
 const PATIENCE: Duration = Duration::from_secs(2);
+const AGAIN: Duration = Duration::from_millis(50);
 /// How long a connection may take to be made.
 const CONNECT: Duration = Duration::from_secs(5);
 
@@ -111,15 +112,15 @@ impl Driver {
             address: address.into(),
             source,
         };
-        // The program before us may still be leaving.
-        let start = Instant::now();
+        // The program before us may still be leaving. Counted from when that was first said, however long it took to be told.
+        let mut first_told = None;
         loop {
-            match Self::connect_once(address, secret, &failed) {
-                Err(DriverError::Taken { .. }) if start.elapsed() < PATIENCE => {
-                    std::thread::sleep(Duration::from_millis(50));
-                }
-                answer => return answer,
+            let answer = Self::connect_once(address, secret, &failed);
+            let taken = matches!(answer, Err(DriverError::Taken { .. }));
+            if !taken || first_told.get_or_insert_with(Instant::now).elapsed() >= PATIENCE {
+                return answer;
             }
+            std::thread::sleep(AGAIN);
         }
     }
 

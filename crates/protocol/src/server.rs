@@ -207,21 +207,24 @@ pub fn serve<W: Write + Send>(
     input: &mut impl BufRead,
     output: W,
 ) -> Result<(), WireError> {
-    converse(offer, secret, input, output, &|| Ok(()))
+    let only = Seats::default();
+    converse(offer, secret, input, output, Seat(&only), &|| Ok(()))
 }
 
-/// As [`serve`]; `admitted` is told once the secret was proved.
+/// As [`serve`], for the client in `seat`; `admitted` is told once the secret was proved.
 fn converse<W: Write + Send>(
     offer: &Offer,
     secret: Option<&Secret>,
     input: &mut impl BufRead,
     output: W,
+    seat: Seat<'_>,
     admitted: &dyn Fn() -> std::io::Result<()>,
 ) -> Result<(), WireError> {
     let out = Out(Mutex::new(output));
+    let seats = seat.0;
     std::thread::scope(|scope| -> Result<(), WireError> {
         // Whatever ends the conversation: before a frame that is still being exposed is waited for.
-        let _stop = StopAtEnd(offer);
+        let _end = AtEnd(offer, seat);
         let mut known = secret.is_none();
         let mut challenge: Option<String> = None;
         let exposing = Arc::new(AtomicBool::new(false));
@@ -270,7 +273,7 @@ fn converse<W: Write + Send>(
                     // Beside the reading, so that a stop need not wait for it.
                     let (out, exposing) = (&out, exposing.clone());
                     scope.spawn(move || {
-                        let answer = offer.answer(&Call::Grab);
+                        let answer = seats.one_frame(|| offer.answer(&Call::Grab));
                         exposing.store(false, Ordering::SeqCst);
                         // Nobody may be left to read it: the next line says so.
                         let _ = out.reply(id, answer);
@@ -287,12 +290,45 @@ fn converse<W: Write + Send>(
     })
 }
 
-/// Stops everything when it goes: nobody is left to say it.
-struct StopAtEnd<'a>(&'a Offer);
+/// Stops everything when it goes, as nobody is left to say it, and after that gives up the seat.
+struct AtEnd<'a>(
+    &'a Offer,
+    #[expect(dead_code, reason = "left when it goes")] Seat<'a>,
+);
 
-impl Drop for StopAtEnd<'_> {
+impl Drop for AtEnd<'_> {
     fn drop(&mut self) {
         let _ = self.0.stop();
+    }
+}
+
+/// What there is once, however many come: the seat of a client, and the camera's time. A frame that was left behind is still exposed
+/// while the next client is let in already.
+#[derive(Default)]
+struct Seats {
+    taken: AtomicBool,
+    frame: Mutex<()>,
+}
+
+impl Seats {
+    fn take(&self) -> Option<Seat<'_>> {
+        (!self.taken.swap(true, Ordering::SeqCst)).then(|| Seat(self))
+    }
+
+    /// One frame after the other.
+    fn one_frame<T>(&self, expose: impl FnOnce() -> T) -> T {
+        // It guards no data.
+        let _one = self.frame.lock().unwrap_or_else(PoisonError::into_inner);
+        expose()
+    }
+}
+
+/// The seat of a client, free again when this goes.
+struct Seat<'a>(&'a Seats);
+
+impl Drop for Seat<'_> {
+    fn drop(&mut self) {
+        self.0.taken.store(false, Ordering::SeqCst);
     }
 }
 
@@ -330,20 +366,17 @@ pub fn listen(
             ),
         ));
     }
-    let taken = AtomicBool::new(false);
+    let seats = Seats::default();
     std::thread::scope(|scope| {
         for stream in listener.incoming() {
             let stream = stream?;
-            let taken = &taken;
-            scope.spawn(move || {
-                if taken.swap(true, Ordering::SeqCst) {
-                    let _ = turn_away(&stream);
-                    return;
-                }
-                let ended = client(&stream, offer, secret);
-                taken.store(false, Ordering::SeqCst);
-                if let Err(error) = ended {
-                    told(&error.to_string());
+            let seats = &seats;
+            scope.spawn(move || match seats.take() {
+                None => drop(turn_away(&stream)),
+                Some(seat) => {
+                    if let Err(error) = client(&stream, offer, secret, seat) {
+                        told(&error.to_string());
+                    }
                 }
             });
         }
@@ -351,7 +384,12 @@ pub fn listen(
     })
 }
 
-fn client(stream: &TcpStream, offer: &Offer, secret: Option<&Secret>) -> Result<(), WireError> {
+fn client(
+    stream: &TcpStream,
+    offer: &Offer,
+    secret: Option<&Secret>,
+    seat: Seat<'_>,
+) -> Result<(), WireError> {
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(PATIENCE))?;
     if secret.is_some() {
@@ -360,7 +398,7 @@ fn client(stream: &TcpStream, offer: &Offer, secret: Option<&Secret>) -> Result<
     }
     let admitted = || stream.set_read_timeout(None);
     let input = &mut BufReader::new(stream);
-    converse(offer, secret, input, stream, &admitted)
+    converse(offer, secret, input, stream, seat, &admitted)
 }
 
 fn turn_away(stream: &TcpStream) -> Result<(), WireError> {
