@@ -3,7 +3,8 @@
 use crate::hello::Hello;
 use crate::link::{CallError, Link};
 use crate::message::{Call, Code, PROTOCOL};
-use crate::remote::{HELLO, Remote, RemoteCamera, RemoteLight, RemoteNosepiece, RemoteStage};
+use crate::patience::{HELLO, Patience};
+use crate::remote::{Remote, RemoteCamera, RemoteLight, RemoteNosepiece, RemoteStage};
 use crate::secret::Secret;
 use scopeservo_scope::{Camera, Clock, Devices, Light, Nosepiece, Stage};
 use std::net::{TcpStream, ToSocketAddrs};
@@ -79,6 +80,7 @@ pub struct Driver {
     link: Link,
     hello: Hello,
     shown: String,
+    patience: Patience,
 }
 
 impl Driver {
@@ -149,7 +151,7 @@ impl Driver {
                 client: concat!("scopeservo ", env!("CARGO_PKG_VERSION")).into(),
                 proof,
             };
-            link.ask(call, 0, HELLO)
+            link.ask(call, HELLO)
         };
         let bad = |detail: String| DriverError::Hello {
             driver: shown.clone(),
@@ -187,7 +189,17 @@ impl Driver {
                 hello.protocol
             )));
         }
-        Ok(Self { link, hello, shown })
+        Ok(Self {
+            link,
+            hello,
+            shown,
+            patience: Patience::default(),
+        })
+    }
+
+    /// The same with other times for frames; those of stops and of motion stay.
+    pub fn patient(self, patience: Patience) -> Self {
+        Self { patience, ..self }
     }
 
     /// What it says of itself.
@@ -214,13 +226,11 @@ impl Driver {
         };
         let remote = |device| Remote::new(self.link.clone(), device);
         let hello = &self.hello;
-        let stage = match &hello.stage {
-            Some(stage) => {
+        let on_stage = hello.stage.as_ref().map(|_| remote("stage"));
+        let stage = match hello.stage.as_ref().zip(on_stage.clone()) {
+            Some((stage, remote)) => {
                 let info = stage.info().map_err(nonsense("stage"))?;
-                Some(
-                    Box::new(RemoteStage::new(remote("stage"), info, stage.homed))
-                        as Box<dyn Stage>,
-                )
+                Some(Box::new(RemoteStage::new(remote, info, stage.homed)) as Box<dyn Stage>)
             }
             None => None,
         };
@@ -229,6 +239,8 @@ impl Driver {
                 remote: remote("camera"),
                 info: camera.info().map_err(nonsense("camera"))?,
                 clock: clock.clone(),
+                stage: on_stage,
+                patience: self.patience,
             }) as Box<dyn Camera>),
             None => None,
         };

@@ -2,7 +2,8 @@
 //! as any other, and ours for other programs.
 //!
 //! - [`Driver::spawn`] and [`Driver::connect`] start or find a driver; [`Driver::devices`] are what it speaks for. One that is silent,
-//!   dies or talks nonsense is stopped and every later call says so: nothing waits longer than the page's times.
+//!   dies or talks nonsense is stopped and every later call says so: nothing waits longer than the page's times. One that is slow with a
+//!   frame and still there is waited for ([`Patience`]).
 //! - [`serve`] speaks for devices of ours on any pair of streams, [`listen`] on a TCP port.
 //! - [`wire`] is the framing, with its limits; it reads and writes streams and knows no devices.
 
@@ -12,6 +13,7 @@ mod client;
 mod hello;
 mod link;
 mod message;
+mod patience;
 mod remote;
 mod secret;
 mod server;
@@ -22,5 +24,6 @@ pub use hello::{
     AxisHello, CameraHello, Hello, LightHello, Moves, NosepieceHello, ObjectiveHello, StageHello,
 };
 pub use message::{Call, Code, PROTOCOL, Place};
+pub use patience::Patience;
 pub use secret::Secret;
 pub use server::{Offer, listen, serve};

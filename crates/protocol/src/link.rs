@@ -64,6 +64,29 @@ struct Shared {
     reaper: Mutex<Option<std::thread::JoinHandle<()>>>,
 }
 
+/// How long a reply is waited for.
+pub(crate) struct Wait<'a> {
+    /// After this, and each time that so much has passed again, it is asked whether the driver is there.
+    pub(crate) late: Duration,
+    /// After this it is given up.
+    pub(crate) at_most: Duration,
+    /// Asks something else that it must answer.
+    pub(crate) is_there: &'a dyn Fn(),
+    /// What it left unanswered before, for people.
+    pub(crate) before: &'static str,
+}
+
+impl Wait<'_> {
+    pub(crate) fn within(time: Duration) -> Self {
+        Self {
+            late: time,
+            at_most: time,
+            is_there: &|| (),
+            before: "",
+        }
+    }
+}
+
 /// A connection to a driver. Cheap to clone; dropping the last one says goodbye.
 #[derive(Clone)]
 pub(crate) struct Link {
@@ -138,14 +161,20 @@ impl Link {
         }
     }
 
-    /// Asks, and waits for the reply for as long as the page says. `bytes` is what the reply may bring.
+    /// Asks, and waits for the reply for as long as the page says.
     ///
     /// A driver that does not answer in time is stopped and disconnected.
-    pub(crate) fn ask(
+    pub(crate) fn ask(&self, call: Call, within: Duration) -> Result<Reply, CallError> {
+        let wait = Wait::within(within);
+        self.ask_while(call, 0, &wait)
+    }
+
+    /// As [`Link::ask`], for as long as `wait` says. `bytes` is what the reply may bring.
+    pub(crate) fn ask_while(
         &self,
         call: Call,
         bytes: usize,
-        within: Duration,
+        wait: &Wait<'_>,
     ) -> Result<Reply, CallError> {
         let shared = &*self.shared;
         let id = shared.next.fetch_add(1, Ordering::SeqCst);
@@ -161,15 +190,28 @@ impl Link {
         if let Err(error) = shared.write(&Request { id, call }) {
             shared.close(&format!("nothing can be written to it: {error}"));
         }
-        let reply = match reply.recv_timeout(within) {
-            Ok(Ok(reply)) => reply,
-            Ok(Err(reason)) => return Err(CallError::Lost(reason)),
-            Err(RecvTimeoutError::Timeout) => {
-                let seconds = within.as_secs_f64();
-                shared.close(&format!("it did not answer '{name}' within {seconds} s"));
-                return Err(CallError::Lost(shared.reason()));
+        let start = Instant::now();
+        let reply = loop {
+            let left = wait.at_most.saturating_sub(start.elapsed());
+            match reply.recv_timeout(left.min(wait.late)) {
+                Ok(Ok(reply)) => break reply,
+                Ok(Err(reason)) => return Err(CallError::Lost(reason)),
+                // Where the driver is gone this ends the connection, and the next turn of the loop tells why.
+                Err(RecvTimeoutError::Timeout) if start.elapsed() < wait.at_most => {
+                    (wait.is_there)();
+                }
+                Err(RecvTimeoutError::Timeout) => {
+                    let seconds = wait.at_most.as_secs_f64();
+                    shared.close(&format!(
+                        "it did not answer {}'{name}' within {seconds} s",
+                        wait.before
+                    ));
+                    return Err(CallError::Lost(shared.reason()));
+                }
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Err(CallError::Lost(shared.reason()));
+                }
             }
-            Err(RecvTimeoutError::Disconnected) => return Err(CallError::Lost(shared.reason())),
         };
         match reply.object.get("error") {
             None => Ok(reply),

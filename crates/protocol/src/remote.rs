@@ -1,8 +1,9 @@
 //! The devices of a driver, behind the contracts of the rest of the program.
 
 use crate::hello::frame_bytes;
-use crate::link::{CallError, Link, Reply};
+use crate::link::{CallError, Link, Reply, Wait};
 use crate::message::{Call, Code, MotionReply, Place};
+use crate::patience::{ANSWER, Patience};
 use scopeservo_scope::{
     Camera, CameraInfo, Clock, Frame, KnownBy, Light, Motion, Nosepiece, Objective, ObjectiveId,
     Samples, ScopeError, Stage, StageInfo, StagePose, check_level,
@@ -12,18 +13,15 @@ use serde::de::DeserializeOwned;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The page's times.
-pub(crate) const HELLO: Duration = Duration::from_secs(15);
-const ANSWER: Duration = Duration::from_secs(2);
-const BEYOND_EXPOSURE: Duration = Duration::from_secs(5);
 /// Clocks of two programs tick apart by less than this within one frame.
 const CLOCK_SLACK: Duration = Duration::from_millis(2);
 
-/// One device of a driver: one request at a time, but for stops.
+/// One device of a driver: one request at a time, but for stops. Clones are the same device.
+#[derive(Clone)]
 pub(crate) struct Remote {
     link: Link,
     device: &'static str,
-    one: Mutex<()>,
+    one: Arc<Mutex<()>>,
 }
 
 impl Remote {
@@ -31,7 +29,7 @@ impl Remote {
         Self {
             link,
             device,
-            one: Mutex::new(()),
+            one: Arc::default(),
         }
     }
 
@@ -42,7 +40,7 @@ impl Remote {
 
     pub(crate) fn ask(&self, call: Call) -> Result<Reply, ScopeError> {
         let _turn = self.turn();
-        self.link.ask(call, 0, ANSWER).map_err(|e| self.error(e))
+        self.link.ask(call, ANSWER).map_err(|e| self.error(e))
     }
 
     /// The reply as a value; nonsense ends the connection.
@@ -63,8 +61,18 @@ impl Remote {
 
     /// Stops everything. Waits for no other request.
     fn stop(&self) -> Result<(), ScopeError> {
-        let asked = self.link.ask(Call::Stop, 0, ANSWER);
+        let asked = self.link.ask(Call::Stop, ANSWER);
         asked.map(drop).map_err(|e| self.error(e))
+    }
+
+    /// Asks for the place of a stage while a frame is late: whatever it answers it is there, and silence ends the connection.
+    fn is_there(&self) {
+        let _turn = self.turn();
+        let wait = Wait {
+            before: "'grab', and then not ",
+            ..Wait::within(ANSWER)
+        };
+        let _ = self.link.ask_while(Call::Position, 0, &wait);
     }
 
     fn error(&self, error: CallError) -> ScopeError {
@@ -232,6 +240,9 @@ pub(crate) struct RemoteCamera {
     pub(crate) remote: Remote,
     pub(crate) info: CameraInfo,
     pub(crate) clock: Arc<dyn Clock>,
+    /// The stage of the same driver, which answers also while a frame is exposed.
+    pub(crate) stage: Option<Remote>,
+    pub(crate) patience: Patience,
 }
 
 #[derive(Deserialize)]
@@ -292,13 +303,23 @@ impl Camera for RemoteCamera {
 
     fn grab(&self) -> Result<Frame, ScopeError> {
         let info = &self.info;
-        let within = self.exposure()? + BEYOND_EXPOSURE;
+        let exposure = self.exposure()?;
+        let is_there = || {
+            if let Some(stage) = &self.stage {
+                stage.is_there();
+            }
+        };
+        let wait = Wait {
+            late: exposure + self.patience.late,
+            is_there: &is_there,
+            ..Wait::within(exposure + self.patience.frame)
+        };
         let turn = self.remote.turn();
         let (asked, asked_at) = (self.clock.now(), Instant::now());
         let reply = self
             .remote
             .link
-            .ask(Call::Grab, frame_bytes(info), within)
+            .ask_while(Call::Grab, frame_bytes(info), &wait)
             .map_err(|e| self.remote.error(e))?;
         drop(turn);
         let head: FrameReply = self.remote.read(&reply)?;

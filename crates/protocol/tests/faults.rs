@@ -1,7 +1,7 @@
 //! Drivers that are silent, die, or talk nonsense: a typed error within the time of the page, and a stop on the way out.
 
-use scopeservo_protocol::{Driver, DriverError};
-use scopeservo_scope::{Axis, Clock, Devices, ScopeError, StagePose, SystemClock};
+use scopeservo_protocol::{Driver, DriverError, Patience};
+use scopeservo_scope::{Axis, Clock, Devices, Frame, ScopeError, StagePose, SystemClock};
 #[cfg(unix)]
 use std::io::Read;
 use std::io::{BufRead, BufReader, Write};
@@ -54,6 +54,17 @@ fn peer(hello: &'static str, odd: Odd) -> (String, Receiver<String>) {
 fn devices(address: &str) -> Devices {
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let driver = Driver::connect(address, None).unwrap();
+    driver.devices(&clock).unwrap()
+}
+
+/// The devices of a driver that is soon asked whether it is there while a frame is late.
+fn devices_asked_soon(address: &str, frame: Duration) -> Devices {
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    let soon = Patience {
+        late: Duration::from_millis(50),
+        frame,
+    };
+    let driver = Driver::connect(address, None).unwrap().patient(soon);
     driver.devices(&clock).unwrap()
 }
 
@@ -318,7 +329,7 @@ fn a_stop_overtakes_a_grab() {
         }
         Ok(true)
     });
-    let Devices { stage, camera, .. } = devices(&address);
+    let Devices { stage, camera, .. } = devices_asked_soon(&address, Duration::from_secs(600));
     let (stage, camera) = (stage.unwrap(), camera.unwrap());
     let grabbing = std::thread::spawn(move || camera.grab());
     std::thread::sleep(Duration::from_millis(100));
@@ -326,9 +337,82 @@ fn a_stop_overtakes_a_grab() {
     stage.stop().unwrap();
     assert!(start.elapsed() < Duration::from_millis(200));
     drop(stage);
-    // The exposure and five seconds, then it is given up.
+    // The frame is late, and whether it is there it does not say either: it is given up.
     let error = grabbing.join().unwrap().unwrap_err();
     assert!(error.to_string().contains("'grab'"), "{error}");
+}
+
+/// What a peer answers to the exposure and, so long as `there`, to the place; and the id of a grab that it was asked for.
+fn slow(line: &str, stream: &mut TcpStream, there: bool) -> std::io::Result<Option<u64>> {
+    let id = id(line);
+    if line.contains("exposure") {
+        writeln!(stream, "{{\"id\":{id},\"ok\":true,\"exposure_ms\":10}}")?;
+    } else if line.contains("position") && there {
+        writeln!(stream, "{{\"id\":{id},\"ok\":true,\"x_um\":0}}")?;
+    }
+    Ok(line.contains("grab").then_some(id))
+}
+
+/// Asks such a driver for a frame, and what was said to it.
+fn late_frame(odd: Odd, frame: Duration) -> (Result<Frame, ScopeError>, Vec<String>) {
+    let (address, told) = peer(HELLO, odd);
+    let devices = devices_asked_soon(&address, frame);
+    let frame = devices.camera.as_ref().unwrap().grab();
+    drop(devices);
+    (frame, told.iter().collect())
+}
+
+#[test]
+fn a_driver_that_is_slow_with_a_frame_and_there_is_waited_for() {
+    // It sends the frame once it has been asked three times where the stage is, each time after the frame was late.
+    static ASKED: std::sync::Mutex<(u64, u32)> = std::sync::Mutex::new((0, 0));
+    let odd: Odd = |line, stream| {
+        let mut asked = ASKED.lock().unwrap();
+        asked.1 += u32::from(line.contains("position"));
+        if line.contains("position") && asked.1 == 3 {
+            // Before the place, so that nobody asks a fourth time.
+            let grab = format!("{{\"id\":{},\"call\":\"grab\"}}", asked.0);
+            let shape = "\"width_px\":8,\"height_px\":4,\"age_ms\":0.01,\"bytes\":32";
+            camera(&grab, stream, shape, &[7; 32])?;
+        }
+        if let Some(id) = slow(line, stream, true)? {
+            asked.0 = id;
+        }
+        Ok(true)
+    };
+    let (frame, said) = late_frame(odd, Duration::from_secs(60));
+    let samples = scopeservo_scope::Samples::U8(vec![7; 32]);
+    assert_eq!(frame.unwrap().samples, samples);
+    // Nothing was stopped before the end, and nothing but the place was asked for.
+    let calls = [
+        "hello", "exposure", "grab", "position", "position", "position",
+    ];
+    let last = ["stop", "bye"];
+    assert_eq!(said.len(), calls.len() + last.len(), "{said:?}");
+    for (line, call) in said.iter().zip(calls.iter().chain(&last)) {
+        assert!(line.contains(call), "{call}: {said:?}");
+    }
+}
+
+#[test]
+fn a_frame_that_never_comes_is_given_up_in_time_by_a_driver_that_is_there_and_at_once_by_one_that_is_not()
+ {
+    let there: Odd = |line, stream| slow(line, stream, true).map(|_| true);
+    let (frame, said) = late_frame(there, Duration::from_millis(300));
+    let error = frame.unwrap_err().to_string();
+    assert!(error.contains("'grab' within 0.31 s"), "{error}");
+    assert!(said.iter().any(|l| l.contains("position")), "{said:?}");
+    let silent: Odd = |line, stream| slow(line, stream, false).map(|_| true);
+    let (frame, said) = late_frame(silent, Duration::from_secs(600));
+    let error = frame.unwrap_err().to_string();
+    let reason = "'grab', and then not 'position' within 2 s";
+    assert!(error.contains(reason), "{error}");
+    let asked = said.iter().filter(|l| l.contains("position")).count();
+    assert_eq!(asked, 1, "silence is not asked twice: {said:?}");
+    let gone: Odd = |line, stream| Ok(slow(line, stream, true)?.is_none());
+    let (frame, _) = late_frame(gone, Duration::from_secs(600));
+    let error = frame.unwrap_err().to_string();
+    assert!(error.contains("it ended"), "{error}");
 }
 
 #[cfg(unix)]
