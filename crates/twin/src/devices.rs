@@ -148,6 +148,19 @@ impl TwinCamera {
         (views, if gap_px > 1.0 { gap_px / 3.0 } else { 0.0 })
     }
 
+    /// Looks where the microscope stands now and shows nobody: what the specimen makes up when it is first looked at is there afterwards.
+    /// Frames and their numbers stay as they were.
+    pub(crate) fn look(&self) -> Result<(), ScopeError> {
+        let now = self.0.now();
+        let (specimen, effects, view) = {
+            let state = self.0.state();
+            let view = self.0.view(&state, now);
+            (state.specimen.clone(), state.slide.effects.clone(), view)
+        };
+        self.light(&*specimen, &effects, &(vec![view], 0.0))
+            .map(drop)
+    }
+
     fn light(
         &self,
         specimen: &dyn Specimen,

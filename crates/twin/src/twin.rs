@@ -17,7 +17,7 @@ use crate::truth::{TrueCalibration, Truth};
 use rand::RngExt;
 use scopeservo_scope::{
     Axis, Camera, CameraInfo, ChangeRule, Clock, Devices, Light, Nosepiece, Objective, ObjectiveId,
-    Rules, Stage,
+    Rules, ScopeError, Stage,
 };
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -175,6 +175,15 @@ impl Twin {
         state
             .slide
             .lay(specimen_um, centre, rotation_deg.to_radians());
+    }
+
+    /// Looks once and shows nobody, so that the first frame need not wait for tissue that grows when it is first looked at. Frames are the
+    /// same with and without it.
+    ///
+    /// # Errors
+    /// [`ScopeError::Device`] for a slide that cannot be read where the microscope stands.
+    pub fn look(&self) -> Result<(), ScopeError> {
+        TwinCamera(self.inner.clone()).look()
     }
 
     /// Takes the slide out and puts it back: turned by `rotation_deg` about the specimen point `about_um`, which then
