@@ -16,6 +16,7 @@
 
 #![warn(clippy::too_many_lines)]
 
+mod board;
 pub mod camera;
 pub mod emulator;
 pub mod factory;

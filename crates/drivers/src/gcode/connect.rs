@@ -1,14 +1,15 @@
 //! Taking a board over.
 
+use crate::board::Board;
 use crate::gcode::codec::{self, Command, Line, Report};
 use crate::gcode::settings::{GcodeSettings, Motor};
 use crate::gcode::stage::{Doing, GcodeStage};
 use crate::gcode::talk::{PLAN_TOLERANCE_MM, Talk, steps_of};
 use crate::link::Transport;
-use crate::session::{Exchange, Session, StopBytes, bad_setting, device};
+use crate::session::{Exchange, bad_setting, device};
 use scopeservo_scope::{Kinematics, PositiveZ, ScopeError, StageInfo};
 use std::sync::Mutex;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// How long after its start a board says nothing more.
 const QUIET: Duration = Duration::from_millis(100);
@@ -27,19 +28,16 @@ impl GcodeStage {
     ) -> Result<Self, ScopeError> {
         let axes = settings.checked()?;
         let ms = Duration::from_millis;
-        let stop = StopBytes {
-            bytes: codec::QUICK_STOP,
-            answered: true,
+        let board = Board {
+            stop: codec::QUICK_STOP,
+            max_line_bytes: codec::MAX_LINE_BYTES,
+            reply_timeout_ms: settings.reply_timeout_ms,
+            boot_ms: settings.boot_ms,
+            quiet: QUIET,
         };
-        let session = Session::new(
-            transport,
-            stop,
-            codec::MAX_LINE_BYTES,
-            ms(settings.reply_timeout_ms),
-        );
+        let session = board.open(transport, |line| codec::decode(line) == Line::Start)?;
         let talk = Talk::new(settings.checksums, ms(settings.busy_timeout_ms));
         let mut ex = session.exchange()?;
-        wait_for_start(&mut ex, ms(settings.boot_ms))?;
         if settings.checksums {
             talk.ask(&mut ex, &Command::StartNumbers, None)?;
         }
@@ -78,25 +76,6 @@ impl GcodeStage {
             doing: Mutex::new(Doing::Nothing),
         })
     }
-}
-
-/// Passes over what a board says while it starts.
-fn wait_for_start(ex: &mut Exchange<'_>, boot: Duration) -> Result<(), ScopeError> {
-    let give_up = Instant::now() + boot;
-    let mut started = false;
-    while Instant::now() < give_up {
-        let deadline = if started {
-            give_up.min(Instant::now() + QUIET)
-        } else {
-            give_up
-        };
-        match ex.line_if_any(deadline)? {
-            Some(line) => started |= codec::decode(&line) == Line::Start,
-            None if started => return Ok(()),
-            None => {}
-        }
-    }
-    Ok(())
 }
 
 /// The name of the firmware, which must take a stop at any time.

@@ -1,9 +1,10 @@
 //! The driver: the codec over a session, with what the stage is doing.
 
+use crate::board::Board;
 use crate::link::Transport;
 use crate::sangaboard::codec::{self, CodecError, Command};
 use crate::sangaboard::settings::{SangaAxis, SangaSettings};
-use crate::session::{Exchange, Session, StopBytes, bad_setting, device, lock};
+use crate::session::{Exchange, Session, bad_setting, device, lock};
 use scopeservo_scope::{Axis, Motion, ScopeError, Stage, StageInfo, StagePose};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
@@ -45,19 +46,15 @@ impl SangaStage {
         settings: &SangaSettings,
     ) -> Result<Self, ScopeError> {
         let axes = settings.checked()?;
-        let ms = Duration::from_millis;
-        let stop = StopBytes {
-            bytes: codec::STOP,
-            answered: true,
+        let board = Board {
+            stop: codec::STOP,
+            max_line_bytes: codec::MAX_LINE_BYTES,
+            reply_timeout_ms: settings.reply_timeout_ms,
+            boot_ms: settings.boot_ms,
+            quiet: Duration::ZERO,
         };
-        let session = Session::new(
-            transport,
-            stop,
-            codec::MAX_LINE_BYTES,
-            ms(settings.reply_timeout_ms),
-        );
+        let session = board.open(transport, |line| codec::decode_version(line).is_ok())?;
         let mut ex = session.exchange()?;
-        wait_for_start(&mut ex, ms(settings.boot_ms))?;
         let line = ask(&mut ex, Command::Version)?;
         let name = read(&ex, codec::decode_version(&line))?;
         let line = ask(&mut ex, Command::IsBlocking)?;
@@ -84,7 +81,7 @@ impl SangaStage {
                 positive_z: settings.positive_z,
             },
             motors: settings.motors(),
-            stop_timeout: ms(settings.stop_timeout_ms),
+            stop_timeout: Duration::from_millis(settings.stop_timeout_ms),
             doing: Mutex::new(Doing::Nothing),
         })
     }
@@ -202,19 +199,6 @@ impl Drop for SangaStage {
         let moving = matches!(*lock(&self.doing), Doing::Moving(_));
         self.session.abandon(moving);
     }
-}
-
-/// Passes over what a board says while it starts.
-fn wait_for_start(ex: &mut Exchange<'_>, boot: Duration) -> Result<(), ScopeError> {
-    let give_up = Instant::now() + boot;
-    while Instant::now() < give_up {
-        if let Some(line) = ex.line_if_any(give_up)?
-            && codec::decode_version(&line).is_ok()
-        {
-            return Ok(());
-        }
-    }
-    Ok(())
 }
 
 /// A decoded answer, or the end of the link.
