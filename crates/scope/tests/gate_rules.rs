@@ -1,0 +1,240 @@
+//! The rules of the motion gate one by one: what each refuses, what it says, and which rules make no sense.
+
+mod recorder;
+
+use recorder::{Devices, Fault, LIMIT, NARROW_X, RETRACTED, TRAVEL, Ticking, id, pose, rules, z};
+use scopeservo_scope::{
+    Axis, CancelToken, ChangeRule, KnownBy, Limits, Motion, MotionGate, Nosepiece, Objective,
+    ObjectiveId, Rules, ScopeError, StagePose, VirtualClock, Workspace,
+};
+use std::sync::Arc;
+
+#[test]
+fn each_refusal_says_which_rule_and_what_to_do() {
+    let devices = Devices::new();
+    let gate = devices.gate(rules());
+    let settle = || (0..8).for_each(|_| devices.world().tick());
+    let go = |at: [f64; 3]| {
+        gate.start_move(&pose(at)).unwrap();
+        settle();
+    };
+    let said = |to: [f64; 3]| gate.start_move(&pose(to)).unwrap_err();
+    let far = said([9e-3, 0.0, 0.0]);
+    assert!(
+        matches!(far, ScopeError::OutsideLimits { axis: Axis::X, .. }),
+        "{far}"
+    );
+    let long = said([7e-3, 0.0, -5e-3]);
+    assert!(
+        matches!(long, ScopeError::StepTooLarge { axis: Axis::X, .. }),
+        "{long}"
+    );
+    assert_eq!(
+        said([f64::NAN, 0.0, 0.0]).to_string(),
+        ScopeError::NotFinite { axis: Axis::X }.to_string()
+    );
+    let turn = StagePose::default().with_si(Axis::Rz, 0.0);
+    let missing = gate.start_move(&turn);
+    assert_eq!(missing, Err(ScopeError::NoSuchAxis { axis: Axis::Rz }));
+
+    go([0.0, 5e-3, -4e-3]);
+    let close = said([5e-3, 5e-3, -2e-3]);
+    assert!(
+        matches!(&close, ScopeError::TooClose { zone, .. } if zone == "the clamp"),
+        "{close}"
+    );
+    // Across the clamp and down behind it: the axes do not go in step, so the way counts.
+    go([3e-3, 5e-3, -4e-3]);
+    let across = said([7e-3, 5e-3, 0.0]);
+    assert!(matches!(across, ScopeError::TooClose { .. }), "{across}");
+    go([7e-3, 5e-3, -4e-3]);
+
+    let low = gate.start_change(&id("40x")).unwrap_err();
+    assert!(low.to_string().contains("Retract first"), "{low}");
+    go([7e-3, 5e-3, RETRACTED]);
+    // The objective that comes may not be where this one may.
+    let there = gate.start_change(&id("40x")).unwrap_err();
+    assert!(
+        matches!(there, ScopeError::OutsideLimits { axis: Axis::X, .. }),
+        "{there}"
+    );
+    go([2e-3, 5e-3, RETRACTED]);
+    let unknown = gate.start_change(&id("100x")).unwrap_err();
+    assert!(unknown.to_string().contains("10x, 40x"), "{unknown}");
+    gate.start_change(&id("40x")).unwrap();
+    let device = "nosepiece";
+    assert_eq!(said([2e-3, 5e-3, RETRACTED]), ScopeError::Busy { device });
+    settle();
+    go([2e-3, 5e-3, 0.5e-3]);
+    let narrow = said([2e-3, 5e-3, 3e-3]);
+    assert!(
+        matches!(narrow, ScopeError::OutsideLimits { axis: Axis::Z, .. }),
+        "{narrow}"
+    );
+    // A retreat may be longer than a step, and nothing else.
+    gate.start_move(&z(-LIMIT)).unwrap();
+    let device = "stage";
+    assert_eq!(said([2e-3, 5e-3, 0.0]), ScopeError::Busy { device });
+    assert!(
+        devices.world().broken.is_empty(),
+        "{:?}",
+        devices.world().broken
+    );
+}
+
+#[test]
+fn what_fails_to_begin_is_stopped_and_what_is_refused_is_left_alone() {
+    let devices = Devices::new();
+    let gate = devices.gate(rules());
+    gate.start_move(&pose([9e-3, 0.0, 0.0])).unwrap_err();
+    assert_eq!(devices.world().stops, 0);
+    devices.world().fault = Some(Fault::Start);
+    let fault = gate.start_move(&z(-6e-3)).unwrap_err();
+    assert!(matches!(fault, ScopeError::Device { .. }), "{fault}");
+    assert_eq!(devices.world().stops, 1);
+}
+
+#[test]
+fn a_cheap_focus_drive_retreats_farther_and_never_turns_short_of_the_height() {
+    const RULE: f64 = -100e-6;
+    let rules = |z: f64| Rules {
+        change: ChangeRule::Retracted { z, margin: 0.0 },
+        ..Rules::travel_only(ChangeRule::Anywhere)
+    };
+    let mut devices = Devices::new();
+    devices.info.axes[2].repeatability = 25e-6;
+    devices.world().at[2] = 0.0;
+    let clock = Arc::new(Ticking {
+        clock: VirtualClock::new(),
+        devices: devices.clone(),
+    });
+    let scope = devices.instrument(rules(RULE), clock, CancelToken::new());
+    // Its scatter is wider than what is to be retracted: that is no reason to turn here.
+    let refused = scope.gate().start_change(&id("40x"));
+    assert!(
+        matches!(refused, Err(ScopeError::NotRetracted { .. })),
+        "{refused:?}"
+    );
+    devices.world().excused = true;
+    scope.select_objective(&id("40x")).unwrap();
+    let turned = devices.world().turned_at;
+    assert!((turned.unwrap() + 200e-6).abs() < 1e-9, "{turned:?}");
+    // A micrometre short counts, and no more, whatever z scatters.
+    for (at, turns) in [(RULE + 1.1e-6, false), (RULE + 0.9e-6, true)] {
+        devices.world().at[2] = at;
+        let answer = scope.gate().start_change(&id("10x"));
+        assert_eq!(answer.is_ok(), turns, "{at}: {answer:?}");
+    }
+    // No room beyond the height for that.
+    let room = MotionGate::new(
+        Box::new(devices.clone()),
+        Box::new(devices.clone()),
+        rules(-TRAVEL + 50e-6),
+    );
+    let said = room.err().unwrap().to_string();
+    assert!(said.contains("100.0 um beyond"), "{said}");
+    devices.info.axes[2].repeatability = 600e-6;
+    let said = MotionGate::new(Box::new(devices.clone()), Box::new(devices), rules(RULE));
+    let said = said.err().unwrap().to_string();
+    assert!(said.contains("repeatability of z is 600 um"), "{said}");
+}
+
+#[test]
+fn an_ellipsoid_gives_each_axis_what_the_others_leave() {
+    let devices = Devices::new();
+    let gate = devices.gate(Rules {
+        workspace: Workspace::Ellipsoid,
+        ..Rules::travel_only(ChangeRule::Anywhere)
+    });
+    // z is at 5 mm of 10: a quarter is used.
+    let x = |at| StagePose::default().with_si(Axis::X, at);
+    gate.check(&x(8.6e-3)).unwrap();
+    let most = gate.check(&x(8.7e-3));
+    assert!(
+        matches!(most, Err(ScopeError::OutsideWorkspace { share }) if share > 1.0 && share < 1.01),
+        "{most:?}"
+    );
+    gate.check(&pose([9.9e-3, 0.0, 0.0])).unwrap();
+}
+
+/// The same devices where somebody says which objective is in.
+struct Hearsay(Devices);
+
+impl Nosepiece for Hearsay {
+    fn objectives(&self) -> &[Objective] {
+        self.0.objectives()
+    }
+    fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
+        self.0.current()
+    }
+    fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
+        self.0.start_change(to)
+    }
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        Nosepiece::poll(&self.0)
+    }
+    fn stop(&self) -> Result<(), ScopeError> {
+        Nosepiece::stop(&self.0)
+    }
+    fn known_by(&self) -> KnownBy {
+        KnownBy::Report
+    }
+}
+
+#[test]
+fn until_a_picture_shows_the_objective_the_rules_of_all_hold() {
+    let devices = Devices::new();
+    let hearsay = Hearsay(devices.clone());
+    let gate = MotionGate::new(Box::new(devices.clone()), Box::new(hearsay), rules()).unwrap();
+    assert_eq!(gate.current_objective(), Ok(Some(id("10x"))));
+    // Beyond what 40x may, within what 10x may.
+    let beyond = StagePose::default().with_si(Axis::X, NARROW_X + 1e-4);
+    assert!(matches!(
+        gate.check(&beyond),
+        Err(ScopeError::OutsideLimits { .. })
+    ));
+    gate.confirm_objective();
+    assert_eq!(gate.check(&beyond), Ok(()));
+    // Shown to be another one, it is unknown until somebody was asked again, also for the same.
+    assert!(gate.contradict_objective());
+    assert_eq!(gate.current_objective(), Ok(None));
+    assert!(gate.check(&beyond).is_err());
+    gate.start_change(&id("10x")).unwrap();
+    (0..3).for_each(|_| devices.world().tick());
+    assert_eq!(gate.poll_nosepiece(), Ok(Motion::Settled));
+    assert_eq!(gate.current_objective(), Ok(Some(id("10x"))));
+    assert!(gate.objective_is_reported());
+}
+
+#[test]
+fn rules_that_make_no_sense_are_refused() {
+    type Breakage = fn(&mut Rules);
+    let nonsense: [(&str, Breakage); 7] = [
+        ("no room", |r| r.limits.ranges[0].min = 9e-3),
+        ("finite", |r| r.limits.ranges[0].max = f64::NAN),
+        ("no objective here", |r| {
+            r.objective_limits.insert(id("63x"), Limits::default());
+        }),
+        ("largest step", |r| r.largest_steps[0].step = 0.0),
+        ("zone 'the clamp'", |r| r.zones[0].x = [1.0, 0.0]),
+        ("leave out the height", |r| {
+            let limits = r.objective_limits.get_mut(&id("40x")).unwrap();
+            limits.ranges[0].min = -4e-3;
+        }),
+        ("outside the limits of z", |r| {
+            r.objective_limits.clear();
+            r.change = ChangeRule::Retracted {
+                z: -9e-3,
+                margin: 0.0,
+            };
+        }),
+    ];
+    for (word, f) in nonsense {
+        let devices = Devices::new();
+        let mut rules = rules();
+        f(&mut rules);
+        let answer = MotionGate::new(Box::new(devices.clone()), Box::new(devices), rules);
+        let said = answer.err().expect(word).to_string();
+        assert!(said.contains(word), "{word}: {said}");
+    }
+}
