@@ -56,6 +56,8 @@ pub enum PictureVerdict {
 const STAYS_PX: f64 = 0.5;
 const STAYS_DEG: f64 = 0.02;
 const STAYS_SCALE: f64 = 0.002;
+/// Most of the places, that is more than this share.
+const MOST_PLACES: f64 = 0.6;
 /// Of two pictures of one place at least so much is alike; dust, text and a reticle together were seen to cover half.
 const MOST: f64 = 0.75;
 /// Fewer agreeing places than this, and the pixels must agree, too: single alike cells or dies of a lattice may agree by place
@@ -126,7 +128,9 @@ fn judge(
     allow: Allow,
 ) -> PictureVerdict {
     let transform = estimate.target_from_view;
-    let stays = stays(&estimate, view, target) && !allow.same_place;
+    let sensor = sensor(view, target);
+    let stays = stays(&estimate, &sensor, view) || places_stay(answer, &sensor);
+    let stays = stays && !allow.same_place;
     // Not one bit changed, noise included: that is one picture.
     let equal = view == target;
     let pair = Pair::new(view, target, transform.linear.det().abs().sqrt());
@@ -163,26 +167,53 @@ fn judge(
     }
 }
 
-/// Whether everything is where it was on the sensor, whatever size its pictures have. As far as it is known: three sigmas more are
-/// allowed.
-fn stays(estimate: &Estimate, view: &GrayImage, target: &GrayImage) -> bool {
-    let transform = &estimate.target_from_view;
+/// Target from view for what is fixed to the sensor, whatever size its pictures have.
+fn sensor(view: &GrayImage, target: &GrayImage) -> Affine2 {
     let [x, y] = [
         target.width() as f64 / view.width() as f64,
         target.height() as f64 / view.height() as f64,
     ];
     // Both pictures begin at the same edge, half a pixel before the first pixel's centre.
-    let sensor = Affine2 {
+    Affine2 {
         linear: Mat2::diagonal(x, y),
         offset: [0.5 * (x - 1.0), 0.5 * (y - 1.0)],
-    };
+    }
+}
+
+/// Target pixels of a pixel of the sensor, one at least.
+fn pixel_of(sensor: &Affine2) -> f64 {
+    sensor.linear.0[0][0].max(1.0)
+}
+
+/// Whether everything is where it was on the sensor. As far as it is known: three sigmas more are allowed.
+fn stays(estimate: &Estimate, sensor: &Affine2, view: &GrayImage) -> bool {
+    let transform = &estimate.target_from_view;
     let c = centre([view.width(), view.height()]);
     let (p, q) = (sensor.apply(c), transform.apply(c));
     let turn = transform.linear.rotation_angle().unwrap_or(f64::NAN);
-    let scale = transform.linear.det().abs().sqrt() / (x * y).sqrt();
-    f64::hypot(q[0] - p[0], q[1] - p[1]) <= STAYS_PX * x.max(1.0) + 3.0 * estimate.sigma_px
+    let scale = (transform.linear.det() / sensor.linear.det()).abs().sqrt();
+    f64::hypot(q[0] - p[0], q[1] - p[1]) <= STAYS_PX * pixel_of(sensor) + 3.0 * estimate.sigma_px
         && turn.abs() <= STAYS_DEG.to_radians() + 3.0 * estimate.sigma_angle_rad
         && (scale - 1.0).abs() <= STAYS_SCALE + 3.0 * estimate.sigma_angle_rad
+}
+
+/// Whether most of the agreeing places are where they were on the sensor. A line of text, or the arms of a reticle, leaves open what a
+/// transform does beside it. Of few places the same column or row is enough: a sensor's pattern has columns.
+fn places_stay(answer: &Registration, sensor: &Affine2) -> bool {
+    let near = STAYS_PX * pixel_of(sensor);
+    let ways = answer.pairs.iter().map(|pair| {
+        let [x, y, u, v] = pair.map(f64::from);
+        let p = sensor.apply([x, y]);
+        [u - p[0], v - p[1]].map(f64::abs)
+    });
+    let ways: Vec<[f64; 2]> = ways.collect();
+    let most = |stays: &dyn Fn(&[f64; 2]) -> bool| {
+        let count = ways.iter().filter(|way| stays(way)).count();
+        count as f64 > MOST_PLACES * ways.len() as f64
+    };
+    let few = ways.len() < FEW;
+    most(&|way| f64::hypot(way[0], way[1]) <= near)
+        || few && (most(&|way| way[0] <= near) || most(&|way| way[1] <= near))
 }
 
 /// Columns in the other order.
@@ -228,5 +259,71 @@ impl PictureVerdict {
             },
             other => other,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answer(pairs: &[[f32; 4]]) -> Registration {
+        Registration {
+            inliers: pairs.len(),
+            pairs: pairs.to_vec(),
+            ..Registration::not_found(NotFound::NoAgreement { matches: 0 }, pairs.len())
+        }
+    }
+
+    fn stay(pairs: &[[f32; 4]]) -> bool {
+        places_stay(&answer(pairs), &Affine2::IDENTITY)
+    }
+
+    /// Places that agreed in frames that share nothing but their camera, each with a transform that does not stay: a reticle's arms, a line
+    /// of text with one place elsewhere, and columns of a sensor.
+    #[test]
+    fn a_reticle_a_line_of_text_and_columns_stay_whatever_the_transform_does_beside_them() {
+        let reticle = [
+            [335.57, 254.18, 335.58, 254.17],
+            [306.56, 254.15, 306.57, 254.16],
+            [393.58, 254.17, 393.58, 254.15],
+            [349.04, 267.58, 349.10, 267.52],
+            [324.73, 181.44, 324.48, 181.61],
+            [324.51, 297.70, 324.68, 297.66],
+        ];
+        let text = [
+            [56.14, 423.00, 56.14, 423.00],
+            [121.80, 423.43, 121.80, 423.43],
+            [160.88, 422.88, 160.88, 422.87],
+            [172.95, 422.91, 172.95, 422.92],
+            [132.61, 422.99, 132.73, 423.04],
+            [509.96, 166.64, 510.92, 158.12],
+        ];
+        let columns = [
+            [560.28, 398.72, 560.25, 385.64],
+            [560.80, 77.78, 561.07, 78.81],
+            [407.21, 231.55, 407.18, 230.44],
+            [606.43, 87.39, 605.84, 84.78],
+            [299.65, 207.79, 300.08, 208.19],
+            [199.06, 350.67, 199.48, 347.36],
+            [498.81, 143.35, 498.92, 143.16],
+        ];
+        for fixed in [&reticle[..], &text, &columns] {
+            assert!(stay(fixed));
+            let rows: Vec<[f32; 4]> = fixed.iter().map(|&[x, y, u, v]| [y, x, v, u]).collect();
+            assert!(stay(&rows));
+        }
+    }
+
+    #[test]
+    fn what_moves_does_not_stay_and_many_places_may_move_along_a_row() {
+        let moved = |count: usize, by: [f32; 2]| -> Vec<[f32; 4]> {
+            let place = |i: usize| [(37 * i % 600) as f32, (61 * i % 440) as f32];
+            let of = |[x, y]: [f32; 2]| [x, y, x + by[0], y + by[1]];
+            (0..count).map(|i| of(place(i))).collect()
+        };
+        assert!(!stay(&moved(8, [3.0, -2.0])));
+        assert!(!stay(&moved(FEW, [40.0, 0.0])));
+        assert!(stay(&moved(8, [40.0, 0.0])) && stay(&moved(FEW, [0.1, 0.2])));
+        assert!(!stay(&[]));
     }
 }
