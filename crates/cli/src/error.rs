@@ -105,6 +105,8 @@ pub(crate) enum Code {
     InUse,
     Unfinished,
     NoFocus,
+    AtLimit,
+    Blurred,
     CalibrationFailed,
     WrongObjective,
     PoorTarget,
@@ -133,6 +135,7 @@ impl Code {
             | Self::InUse
             | Self::Unfinished
             | Self::NoFocus
+            | Self::AtLimit
             | Self::CalibrationFailed
             | Self::WrongObjective
             | Self::PoorTarget
@@ -140,6 +143,7 @@ impl Code {
             | Self::Ambiguous => 3,
             Self::NotKept
             | Self::ForeignTarget
+            | Self::Blurred
             | Self::Interrupted
             | Self::Fault
             | Self::Internal => 1,
@@ -226,6 +230,7 @@ fn setup_code(error: &SetupError) -> Code {
 fn servo_code(error: &ServoError) -> Code {
     match error.code() {
         ErrorCode::NoFocus => Code::NoFocus,
+        ErrorCode::AtLimit => Code::AtLimit,
         ErrorCode::CalibrationFailed => Code::CalibrationFailed,
         ErrorCode::WrongObjective => Code::WrongObjective,
         ErrorCode::PoorTarget => Code::PoorTarget,

@@ -58,6 +58,49 @@ fn stage_go_goes_within_the_rules_and_brings_a_stage_back_that_stands_outside() 
 }
 
 #[test]
+fn a_blurred_view_is_told_when_it_is_saved_and_the_height_stays() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    let twin = serve_twin(here, &[]);
+    describe(here, &format!("tcp = \"{}\"", twin.address), "");
+    let run = |args: &[&str]| {
+        let ran = scopeservo(here, args);
+        assert_eq!(code(&ran), 0, "{args:?}: {}", stderr(&ran));
+        ran
+    };
+    let z_um = |answer: serde_json::Value| answer["at"]["z_um"].as_f64().unwrap();
+    let sharp = json(&run(&["focus", "--objective", "40x", "--json"]));
+    let in_focus = sharp["z_um"].as_f64().unwrap();
+    assert!(sharp["sigma_um"].as_f64().unwrap() < 0.5, "{sharp}");
+    let saved = json(&run(&["target", "save", "sharp", "--json"]));
+    assert_eq!(saved["warnings"], serde_json::json!([]), "{saved}");
+
+    // Positive z is nearer to the specimen: 9 um farther away, it is sharper 9 um higher.
+    let blurred = format!("{:.1}", in_focus - 9.0);
+    let at = z_um(json(&run(&["stage", "go", "--z-um", &blurred, "--json"])));
+    let saved = json(&run(&["target", "save", "blurred", "--json"]));
+    assert_eq!(saved["warnings"][0]["code"], "blurred", "{saved}");
+    let message = saved["warnings"][0]["message"].as_str().unwrap();
+    assert!(message.contains("sharpest 9 um higher"), "{message}");
+    assert!(message.contains("--focus"), "{message}");
+    let still = json(&run(&["stage", "go", "--x-um", "0", "--json"]));
+    assert!((z_um(still) - at).abs() < 0.5);
+
+    let saved = json(&run(&["target", "save", "mended", "--focus", "--json"]));
+    assert_eq!(saved["warnings"], serde_json::json!([]), "{saved}");
+    for (args, what) in [
+        (&["focus", "--range-um", "0"][..], "--range-um"),
+        (&["calibrate", "--range-um", "-3"], "--range-um"),
+        (&["reposition", "sharp", "--range-um", "nan"], "--range-um"),
+        (&["target", "save", "x", "--range-um", "9999"], "--range-um"),
+    ] {
+        let wrong = scopeservo(here, args);
+        assert_eq!(code(&wrong), 2, "{args:?}");
+        assert!(stderr(&wrong).contains(what), "{}", stderr(&wrong));
+    }
+}
+
+#[test]
 fn two_programs_never_drive_one_instrument() {
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();

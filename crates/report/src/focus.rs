@@ -18,7 +18,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
             .into();
     }
     let mut out = String::from(
-        "<p class=\"lead\">Sharpness (mean size of the Laplacian over the mean brightness) at every height that was tried; the ring is where the focus was \
+        "<p class=\"lead\">Sharpness (root mean square of the smoothed Laplacian over the mean brightness, the noise taken off) at every height that was tried; the ring is where the focus was \
          taken.</p>\n<div class=\"plots\">\n",
     );
     for sweep in swept {

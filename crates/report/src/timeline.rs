@@ -136,7 +136,10 @@ impl<'a> Timeline<'a> {
             Event::Focused { objective, result } => {
                 self.sweep(Some(objective)).result = Some(result)
             }
-            Event::Identified { .. } | Event::SteppedAside { .. } | Event::ShadowsFound { .. } => {}
+            Event::Identified { .. }
+            | Event::SteppedAside { .. }
+            | Event::Blurred { .. }
+            | Event::ShadowsFound { .. } => {}
             Event::CalibrationView { shift_px, .. } => {
                 if let Some(c) = self.calibrations.last_mut() {
                     c.shifts_px.push(*shift_px);

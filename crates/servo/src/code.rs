@@ -24,6 +24,8 @@ pub enum ErrorKind {
 pub enum ErrorCode {
     /// No focus.
     NoFocus,
+    /// The focus lies beyond where the stage may go.
+    AtLimit,
     /// A calibration had too little to see, or was implausible.
     CalibrationFailed,
     /// Another objective is active than the one that is said to be, or it could not be seen which.
@@ -63,6 +65,7 @@ impl ErrorCode {
     pub fn kind(self) -> ErrorKind {
         match self {
             Self::NoFocus
+            | Self::AtLimit
             | Self::CalibrationFailed
             | Self::WrongObjective
             | Self::PoorTarget
@@ -81,6 +84,7 @@ impl ServoError {
         match self {
             Self::Scope(error) => scope_code(error),
             Self::NoFocus { .. } => ErrorCode::NoFocus,
+            Self::FocusAtLimit { .. } => ErrorCode::AtLimit,
             Self::CalibrationViews { .. }
             | Self::CalibrationImplausible { .. }
             | Self::CalibrationInconsistent { .. } => ErrorCode::CalibrationFailed,

@@ -31,6 +31,19 @@ pub enum ServoError {
         /// Upper end of the sweep.
         to_um: f64,
     },
+    /// It gets sharper towards where the stage may not go.
+    #[error(
+        "the focus of {objective} lies beyond where the stage may go: it gets sharper towards an end of {from_um:.0} to {to_um:.0} um. \
+         Give a wider range, or move nearer to focus by hand"
+    )]
+    FocusAtLimit {
+        /// The objective in the beam.
+        objective: ObjectiveId,
+        /// Lower end of the sweep.
+        from_um: f64,
+        /// Upper end of the sweep.
+        to_um: f64,
+    },
     /// Too few of the calibration views could be registered.
     #[error(
         "calibration of {objective} failed: {measured} of {needed} moves could be measured; the last view was not found \

@@ -86,7 +86,7 @@ pub enum Event {
     FocusSample {
         /// Stage height, um.
         z_um: f64,
-        /// Mean |Laplacian| of the luminance over its mean.
+        /// What the measure answers, over the light, as a size: the noise's share taken off where the measure can.
         sharpness: f64,
     },
     /// A focus was found.
@@ -95,6 +95,17 @@ pub enum Event {
         objective: ObjectiveId,
         /// The result.
         result: FocusResult,
+    },
+    /// The view that is to be saved is blurred, and was left so.
+    Blurred {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// The stage's z where it is sharpest less where it is, um.
+        sharper_by_um: f64,
+        /// Features of the view.
+        features: usize,
+        /// And where it is sharpest.
+        features_there: usize,
     },
     /// Shadows that lie on the camera were found, and are divided out from now on.
     ShadowsFound {

@@ -103,7 +103,7 @@ fn a_stage_that_stops_on_its_way_or_never_settles_is_a_fault() {
         (Wrong::NeverSettles, |e| {
             matches!(e, ScopeError::Timeout { .. })
         }),
-        (Wrong::FailsAbove(-100.0), |e| {
+        (Wrong::FailsNearer(-100.0), |e| {
             matches!(e, ScopeError::Device { .. })
         }),
     ];
@@ -256,21 +256,21 @@ const FAILURES: [Failure; 7] = [
         b.run(focus(b)).map(drop)
     }),
     ("the camera fails in the sweep", 0.0, |b| {
-        b.pictures_left(20);
+        b.pictures_left(6);
         b.run(focus(b)).map(drop)
     }),
-    ("the stage refuses a part of the sweep", 0.0, |b| {
-        b.goes_wrong(Wrong::RefusesAbove(20.0));
+    ("the stage refuses a part of the sweep", 30.0, |b| {
+        b.goes_wrong(Wrong::RefusesNearer(-5.0));
         b.run(focus(b)).map(drop)
     }),
-    ("the stage fails in a part of the sweep", 0.0, |b| {
-        b.goes_wrong(Wrong::FailsAbove(20.0));
+    ("the stage fails in a part of the sweep", 30.0, |b| {
+        b.goes_wrong(Wrong::FailsNearer(-5.0));
         b.run(focus(b)).map(drop)
     }),
-    ("there is an obstacle", 0.0, |b| {
+    ("there is an obstacle", 30.0, |b| {
         let wall = match b.scope.gate().info().positive_z {
-            PositiveZ::Closer => [-1e4, 17.0],
-            PositiveZ::Apart => [-17.0, 1e4],
+            PositiveZ::Closer => [-1e4, -7.0],
+            PositiveZ::Apart => [7.0, 1e4],
         };
         b.goes_wrong(Wrong::Wall(Axis::Z, wall));
         b.run(focus(b)).map(drop)

@@ -1,6 +1,8 @@
 //! What several commands take: how they answer, and which instrument they work with.
 
-use clap::Args;
+use crate::error::CliError;
+use clap::{Args, ValueEnum};
+use scopeservo_servo::{FocusOptions, Measure};
 use std::path::PathBuf;
 
 /// How a command answers.
@@ -40,4 +42,61 @@ pub(crate) struct InstrumentArgs {
     /// Allow homing when the stage needs it: it may move anything anywhere.
     #[arg(long)]
     pub(crate) home: bool,
+}
+
+/// How a view is brought into focus.
+#[derive(Debug, Args)]
+pub(crate) struct FocusingArgs {
+    /// How far above and below the present height to look for focus. No sweep goes farther, and none that finds nothing ends nearer to the
+    /// specimen than it began.
+    #[arg(
+        long,
+        value_name = "UM",
+        default_value_t = 200.0,
+        allow_negative_numbers = true
+    )]
+    range_um: f64,
+    /// How sharpness is measured. With a noisy camera the paper's measure is mostly noise.
+    #[arg(long, value_enum, default_value = "laplacian")]
+    measure: MeasureArg,
+}
+
+impl FocusingArgs {
+    pub(crate) fn options(&self) -> Result<FocusOptions, CliError> {
+        if !(self.range_um > 0.0 && self.range_um <= 2000.0) {
+            return Err(CliError::Usage(
+                "--range-um must be above 0 and at most 2000".into(),
+            ));
+        }
+        Ok(FocusOptions {
+            half_range_um: self.range_um,
+            nearest_um: self.range_um,
+            measure: self.measure.into(),
+            ..FocusOptions::default()
+        })
+    }
+}
+
+/// How sharpness is measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum MeasureArg {
+    /// Squares of the Laplacian of the smoothed image, the noise taken off.
+    Laplacian,
+    /// Squares of the gradient of the smoothed image, the noise taken off.
+    Tenengrad,
+    /// Power of a band of fine detail, the noise taken off.
+    BandPower,
+    /// Mean size of the Laplacian of the image as it came.
+    Paper,
+}
+
+impl From<MeasureArg> for Measure {
+    fn from(measure: MeasureArg) -> Self {
+        match measure {
+            MeasureArg::Laplacian => Self::Laplacian,
+            MeasureArg::Tenengrad => Self::Tenengrad,
+            MeasureArg::BandPower => Self::BandPower,
+            MeasureArg::Paper => Self::Paper,
+        }
+    }
 }

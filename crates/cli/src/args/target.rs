@@ -1,6 +1,6 @@
 //! Saved views.
 
-use super::common::{AnswerArgs, ConfigArgs, InstrumentArgs};
+use super::common::{AnswerArgs, ConfigArgs, FocusingArgs, InstrumentArgs};
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
 
@@ -31,10 +31,12 @@ pub(crate) struct TargetSaveArgs {
     /// Bring this objective into the beam first.
     #[arg(long, value_name = "ID")]
     pub(crate) objective: Option<String>,
-    /// Focus first.
+    /// Focus first. Without it the height stays as it is, and a view that is sharper a little above or below is told.
     #[arg(long)]
     pub(crate) focus: bool,
-    /// Move nothing, also no step aside that shows what is fixed to the camera.
+    #[command(flatten)]
+    pub(crate) focusing: FocusingArgs,
+    /// Move nothing: no step aside that shows what is fixed to the camera, and none that shows whether the view is in focus.
     #[arg(long, conflicts_with_all = ["focus", "objective"])]
     pub(crate) still: bool,
     #[command(flatten)]

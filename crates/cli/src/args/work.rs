@@ -1,6 +1,6 @@
 //! What is asked of an instrument: to move, focus, calibrate and come back.
 
-use super::common::{AnswerArgs, ConfigArgs, InstrumentArgs, ReportArgs};
+use super::common::{AnswerArgs, ConfigArgs, FocusingArgs, InstrumentArgs, ReportArgs};
 use clap::{Args, Subcommand};
 
 #[derive(Debug, Args)]
@@ -17,6 +17,8 @@ pub(crate) struct CalibrateArgs {
     #[arg(long)]
     pub(crate) no_focus: bool,
     #[command(flatten)]
+    pub(crate) focusing: FocusingArgs,
+    #[command(flatten)]
     pub(crate) answer: AnswerArgs,
 }
 
@@ -30,10 +32,8 @@ pub(crate) struct FocusArgs {
     /// Bring this objective into the beam first.
     #[arg(long, value_name = "ID")]
     pub(crate) objective: Option<String>,
-    /// How far above and below the present height to look: 40 um, and up to 120 um where the best view lies at an end. A range that is
-    /// given is never passed towards the specimen.
-    #[arg(long, value_name = "UM")]
-    pub(crate) range_um: Option<f64>,
+    #[command(flatten)]
+    pub(crate) focusing: FocusingArgs,
     /// Go to this height first, and focus around it: for a stage that was left retracted.
     #[arg(long, value_name = "UM", allow_negative_numbers = true)]
     pub(crate) near_z_um: Option<f64>,
@@ -112,6 +112,8 @@ pub(crate) struct RepositionArgs {
     /// Iterations at each magnification, at most.
     #[arg(long, value_name = "N", default_value_t = 64)]
     pub(crate) max_iterations: usize,
+    #[command(flatten)]
+    pub(crate) focusing: FocusingArgs,
     #[command(flatten)]
     pub(crate) report: ReportArgs,
     #[command(flatten)]

@@ -10,12 +10,13 @@ use crate::output::calibration as calibration_json;
 use crate::progress::Watcher;
 use scopeservo_library::Calibrations as _;
 use scopeservo_scope::{Objective, ObjectiveId};
-use scopeservo_servo::{Calibration, FocusOptions};
+use scopeservo_servo::Calibration;
 use scopeservo_station::jobs::{CalibrateInput, CalibrateJob, CalibrateOutput};
 use serde_json::json;
 use std::path::Path;
 
 pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, CliError> {
+    let focus = args.focusing.options()?;
     // Before anything moves, and before it is opened.
     library_of(&args.instrument.description)?.try_calibrations(&[])?;
     let desk = Desk::open(&args.instrument, answer)?;
@@ -31,7 +32,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
     desk.library.try_calibrations(&wanted)?;
     let input = CalibrateInput {
         objectives,
-        focus: (!args.no_focus).then(FocusOptions::default),
+        focus: (!args.no_focus).then_some(focus),
         ..CalibrateInput::default()
     };
     let asked = Asked {

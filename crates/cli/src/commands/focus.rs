@@ -7,31 +7,21 @@ use crate::error::CliError;
 use crate::journal::Asked;
 use crate::progress::Watcher;
 use scopeservo_scope::ObjectiveId;
-use scopeservo_servo::{FocusOptions, VisionOptions};
+use scopeservo_servo::VisionOptions;
 use scopeservo_station::jobs::{FocusInput, FocusJob, FocusOutput};
 use serde_json::json;
 
 pub(crate) fn focus(args: &FocusArgs, answer: &Answer) -> Result<bool, CliError> {
-    let range_um = args.range_um.unwrap_or(40.0);
-    if !(range_um > 0.0 && range_um <= 2000.0) {
-        return Err(CliError::Usage(
-            "--range-um must be above 0 and at most 2000".into(),
-        ));
-    }
+    let focus = args.focusing.options()?;
     if args.near_z_um.is_some_and(|z| !z.is_finite()) {
         return Err(CliError::Usage("--near-z-um must be a number".into()));
     }
     let desk = Desk::open(&args.instrument, answer)?;
     desk.check_nothing_waits()?;
-    let default = FocusOptions::default();
     let input = FocusInput {
         objective: args.objective.clone().map(ObjectiveId),
         near_z_um: args.near_z_um,
-        focus: FocusOptions {
-            half_range_um: range_um,
-            nearest_um: args.range_um.unwrap_or(default.nearest_um),
-            ..default
-        },
+        focus,
         vision: VisionOptions::default(),
     };
     let asked = Asked {
@@ -59,6 +49,7 @@ fn show(answer: &Answer, FocusOutput { objective, result }: &FocusOutput) {
     answer.put(json!({
         "objective": objective,
         "z_um": result.z_um,
+        "sigma_um": result.sigma_um,
         "sharpness": result.sharpness,
         "contrast": result.contrast,
         "samples": result.samples,

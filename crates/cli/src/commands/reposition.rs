@@ -22,6 +22,7 @@ use std::time::Instant;
 
 pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool, CliError> {
     check_servo(args.lambda, args.max_iterations)?;
+    let focus = args.focusing.options()?;
     // What can be wrong without the instrument is found before it is touched.
     let config = Config::read(&args.instrument.description.config)?;
     let kept = Folder::new(config.resolve(&config.data_folder)).target(&args.name)?;
@@ -41,6 +42,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
         target_id: kept.id.clone(),
         options: RepositionOptions {
             servo,
+            focus,
             ..RepositionOptions::default()
         },
         foreign_um_per_px,

@@ -4,22 +4,24 @@ use super::{known_calibrations, library_of};
 use crate::answer::Answer;
 use crate::args::TargetSaveArgs;
 use crate::desk::Desk;
-use crate::error::CliError;
+use crate::error::{CliError, Code};
 use crate::journal::Asked;
 use crate::progress::Watcher;
 use scopeservo_library::Targets as _;
 use scopeservo_scope::ObjectiveId;
-use scopeservo_servo::{FocusOptions, Target, VisionOptions};
+use scopeservo_servo::{Event, Target, VisionOptions};
 use scopeservo_station::jobs::{SaveTargetInput, SaveTargetJob, SaveTargetOutput};
 use serde_json::json;
 
 pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool, CliError> {
+    let focusing = args.focusing.options()?;
     library_of(&args.instrument.description)?.check_new_target(&args.name)?;
     let desk = Desk::open(&args.instrument, answer)?;
     desk.check_nothing_waits()?;
     let input = SaveTargetInput {
         objective: args.objective.clone().map(ObjectiveId),
-        focus: args.focus.then(FocusOptions::default),
+        focus: args.focus.then(|| focusing.clone()),
+        focusing,
         still: args.still || desk.config.target.still,
         known: known_calibrations(&desk, answer),
         vision: VisionOptions::default(),
@@ -40,7 +42,9 @@ pub(super) fn run(
     answer: &Answer,
 ) -> Result<bool, CliError> {
     let before = desk.scope.flat_field();
-    let ran = desk.run(job, asked, &mut Watcher::new(None), answer)?;
+    let mut watcher = Watcher::new(None);
+    let ran = desk.run(job, asked, &mut watcher, answer)?;
+    warn_of_blur(&watcher, answer);
     let kept = match &ran.output {
         Ok(output) => keep(desk, name, output, answer),
         Err(_) => Ok(()),
@@ -55,6 +59,30 @@ pub(super) fn run(
     }
     ran.end(None, answer)?;
     kept.map(|()| true)
+}
+
+/// A blurred view is told also where it was refused: that may be why.
+fn warn_of_blur(watcher: &Watcher, answer: &Answer) {
+    for stamped in watcher.recorder.events() {
+        if let Event::Blurred {
+            objective,
+            sharper_by_um,
+            features,
+            features_there,
+        } = &stamped.event
+        {
+            let way = match *sharper_by_um < 0.0 {
+                true => "lower",
+                false => "higher",
+            };
+            let what = format!(
+                "the view is blurred: with {objective} it is sharpest {:.0} um {way}, with {:.1} times the features. Save it with --focus",
+                sharper_by_um.abs(),
+                *features_there as f64 / (*features).max(1) as f64,
+            );
+            answer.warn(Code::Blurred, what);
+        }
+    }
 }
 
 /// The program was killed after the target was kept, and before it said so.

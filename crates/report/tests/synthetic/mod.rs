@@ -240,6 +240,7 @@ impl Teller {
         if !blank {
             let result = FocusResult {
                 z_um: Some(best),
+                sigma_um: Some(0.05),
                 sharpness: sample(best),
                 contrast: sample(best) / sample(-40.0),
                 samples,

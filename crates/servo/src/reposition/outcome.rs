@@ -28,6 +28,8 @@ pub enum Reason {
     BlankTarget,
     /// No focus: nothing to see at the start.
     NoFocus,
+    /// It gets sharper towards where the stage may not go.
+    AtLimit,
     /// Another objective is in the beam than the one that was asked for, or it could not be seen which.
     WrongObjective,
     /// Calibration had too little to see or was implausible.
@@ -90,6 +92,7 @@ impl Reason {
     pub fn of(error: &ServoError) -> Option<Self> {
         Some(match error.code() {
             ErrorCode::NoFocus => Self::NoFocus,
+            ErrorCode::AtLimit => Self::AtLimit,
             ErrorCode::PoorTarget => Self::BlankTarget,
             ErrorCode::NothingMoves => Self::NothingMoves,
             ErrorCode::Ambiguous => Self::Ambiguous,

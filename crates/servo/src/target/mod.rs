@@ -1,5 +1,6 @@
 //! A saved view: its features, its picture and how it was taken.
 
+mod in_focus;
 mod picture;
 mod save;
 
@@ -11,6 +12,7 @@ use scopeservo_scope::{FlatField, Frame, Instrument, Kinematics, ObjectiveId, St
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+pub use in_focus::InFocus;
 pub use picture::Picture;
 pub use save::{SaveOptions, SaveTarget};
 

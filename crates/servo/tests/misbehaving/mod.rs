@@ -47,10 +47,10 @@ pub(crate) enum Wrong {
     NeverSettles,
     /// It ends every move at once, and says so.
     StopsShort,
-    /// It refuses to go above this height.
-    RefusesAbove(f64),
-    /// It fails above this height.
-    FailsAbove(f64),
+    /// It refuses to go nearer to the specimen than this from zero, um.
+    RefusesNearer(f64),
+    /// It fails there.
+    FailsNearer(f64),
 }
 
 /// What was asked of the stage.
@@ -108,15 +108,16 @@ impl Stage for Misbehaving {
     fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
         let at = self.real.position()?;
         let mut log = lock(&self.log);
-        let z_um = to.si(Axis::Z).map(|z| z * 1e6);
+        let nearer = |z: f64| self.info().positive_z.nearer_by(z * 1e6, 0.0);
+        let nearer_um = to.si(Axis::Z).map(nearer);
         match self.wrong() {
-            Wrong::RefusesAbove(um) if z_um.is_some_and(|z| z > um) => {
+            Wrong::RefusesNearer(um) if nearer_um.is_some_and(|z| z > um) => {
                 return Err(ScopeError::Refused {
                     device: "stage",
-                    detail: "too high".into(),
+                    detail: "too near".into(),
                 });
             }
-            Wrong::FailsAbove(um) if z_um.is_some_and(|z| z > um) => {
+            Wrong::FailsNearer(um) if nearer_um.is_some_and(|z| z > um) => {
                 return Err(ScopeError::Device {
                     device: "stage",
                     detail: "smoke".into(),

@@ -3,7 +3,8 @@
 use crate::{JobError, UseCase, Work};
 use scopeservo_scope::{Frame, ObjectiveId, StagePose};
 use scopeservo_servo::{
-    Bring, Calibration, FocusOptions, Progress, SaveOptions, SaveTarget, Target, VisionOptions,
+    Bring, Calibration, FocusOptions, InFocus, Progress, SaveOptions, SaveTarget, Target,
+    VisionOptions,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -16,6 +17,8 @@ pub struct SaveTargetInput {
     pub objective: Option<ObjectiveId>,
     /// How to focus first; `None` where the view is in focus.
     pub focus: Option<FocusOptions>,
+    /// How to look whether it is, where that may be looked at.
+    pub focusing: FocusOptions,
     /// Nothing may move for it: then nobody knows what belongs to the specimen, and the run must prove it.
     pub still: bool,
     /// Calibrations of this instrument and camera that are known; the scale of others is as engraved.
@@ -44,6 +47,10 @@ enum State {
         objective: ObjectiveId,
         bring: Box<Bring>,
     },
+    InFocus {
+        objective: ObjectiveId,
+        look: Box<InFocus>,
+    },
     Save {
         stage: StagePose,
         save: Box<SaveTarget>,
@@ -65,6 +72,19 @@ impl SaveTargetJob {
             state: State::Begin,
         }
     }
+
+    fn save(&self, work: &Work<'_>, objective: &ObjectiveId) -> Result<State, JobError> {
+        let of_it = |c: &&Calibration| c.objective == *objective;
+        let save = SaveTarget::new(SaveOptions {
+            vision: self.input.vision.clone(),
+            still: self.input.still,
+            calibration: self.input.known.iter().find(of_it).cloned(),
+        });
+        Ok(State::Save {
+            stage: work.scope().gate().position()?,
+            save: Box::new(save),
+        })
+    }
 }
 
 impl UseCase for SaveTargetJob {
@@ -85,19 +105,22 @@ impl UseCase for SaveTargetJob {
             }
             State::Bring { objective, bring } => {
                 if let Progress::Done(_) = work.step(&mut **bring)? {
-                    let save = SaveTarget::new(SaveOptions {
-                        vision: input.vision.clone(),
-                        still: input.still,
-                        calibration: input
-                            .known
-                            .iter()
-                            .find(|c| c.objective == *objective)
-                            .cloned(),
-                    });
-                    self.state = State::Save {
-                        stage: work.scope().gate().position()?,
-                        save: Box::new(save),
+                    let objective = objective.clone();
+                    self.state = match input.still || input.focus.is_some() {
+                        true => self.save(work, &objective)?,
+                        false => {
+                            let (focusing, vision) = (input.focusing.clone(), input.vision.clone());
+                            let look = InFocus::new(objective.clone(), focusing, vision);
+                            let look = Box::new(look);
+                            State::InFocus { objective, look }
+                        }
                     };
+                }
+            }
+            State::InFocus { objective, look } => {
+                if let Progress::Done(()) = work.step(&mut **look)? {
+                    let objective = objective.clone();
+                    self.state = self.save(work, &objective)?;
                 }
             }
             State::Save { stage, save } => {

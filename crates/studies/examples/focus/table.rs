@@ -1,0 +1,86 @@
+//! What the records say.
+
+use crate::start::Record;
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+fn row(name: &str, records: &[&Record]) {
+    let n = records.len();
+    let share = |k: usize| format!("{k} ({:.1} %)", 100.0 * k as f64 / n.max(1) as f64);
+    let count = |f: &dyn Fn(&Record) -> bool| records.iter().filter(|r| f(r)).count();
+    let focused = count(&|r| r.answer == "focused");
+    let right = count(&Record::is_right);
+    let off = median(
+        records
+            .iter()
+            .filter(|r| r.answer == "focused")
+            .map(|r| r.end_um.abs() / r.depth_um)
+            .collect(),
+    );
+    let frames = median(records.iter().map(|r| r.frames as f64).collect());
+    let moves = median(records.iter().map(|r| r.moves as f64).collect());
+    let again: Vec<(&Record, f64, f64)> = records
+        .iter()
+        .filter_map(|r| r.again.map(|(off, n)| (*r, off, n as f64)))
+        .collect();
+    let again_right = again
+        .iter()
+        .filter(|(r, off, _)| off.abs() <= 0.25 * r.depth_um)
+        .count();
+    let again_frames = median(again.iter().map(|a| a.2).collect());
+    println!(
+        "| {name} | {n} | {focused} | {} | {off:.3} | {frames} | {moves} | {again_right} of {} | {again_frames} |",
+        share(right),
+        again.len()
+    );
+}
+
+/// Prints the table; returns how many failures left the stage nearer or worse off.
+pub(crate) fn print(records: &[Record], blank: bool) -> usize {
+    println!(
+        "| starts | number | focused | within a quarter of the depth of field | median error, depths | median frames | median moves | again, right | again, median frames |\n\
+         |---|---|---|---|---|---|---|---|---|"
+    );
+    let of = |f: &dyn Fn(&Record) -> bool| records.iter().filter(|r| f(r)).collect::<Vec<_>>();
+    row("all", &of(&|_| true));
+    for objective in ["10x", "20x", "40x"] {
+        row(objective, &of(&|r| r.objective == objective));
+    }
+    let mut specimens: Vec<&str> = records.iter().map(|r| r.specimen.as_str()).collect();
+    specimens.sort_unstable();
+    specimens.dedup();
+    for specimen in specimens {
+        row(specimen, &of(&|r| r.specimen == specimen));
+    }
+    row("noise up to 0.5 %", &of(&|r| r.noise <= 0.005));
+    row("noise above 0.5 %", &of(&|r| r.noise > 0.005));
+    row("play up to 2 um", &of(&|r| r.play_um <= 2.0));
+    row("play above 2 um", &of(&|r| r.play_um > 2.0));
+    row("beyond 50 um", &of(&|r| r.start_um.abs() > 50.0));
+    let harmed = of(&Record::is_harmed).len();
+    println!("\n{harmed} failures left the stage nearer to the specimen");
+    let wrong = of(&|r| r.answer == "focused" && !r.is_right());
+    if blank {
+        println!(
+            "{} of {} in focus on glass",
+            of(&|r| r.answer == "focused").len(),
+            records.len()
+        );
+    }
+    for r in wrong.iter().take(12) {
+        println!(
+            "off: {} {} {}: {:.2} um of depth {:.2}, {:?}",
+            r.index, r.objective, r.specimen, r.end_um, r.depth_um, r.claimed_sigma_um
+        );
+    }
+    for r in of(&|r| r.answer != "focused").iter().take(12) {
+        println!(
+            "not: {} {} {}: {} from {:.0} um",
+            r.index, r.objective, r.specimen, r.answer, r.start_um
+        );
+    }
+    harmed
+}
