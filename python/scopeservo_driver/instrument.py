@@ -11,7 +11,7 @@ from typing import Any
 
 from .errors import DriverError, Fault, Refused
 from .messages import Request
-from .parts import CameraPart, LightPart, NosepiecePart, Part, Reply, StagePart
+from .adapters import Adapter, CameraAdapter, LightAdapter, NosepieceAdapter, Reply, StageAdapter
 
 CALLS_BY_DEVICE = {
     "stage": ("position", "move", "motion", "home"),
@@ -59,24 +59,24 @@ class Instrument:
 
     def __init__(self, stage: Any, camera: Any, nosepiece: Any, light: Any, name: str) -> None:
         self.name = name
-        self.parts: dict[str, Part] = {}
+        self.adapters: dict[str, Adapter] = {}
         if stage is not None:
-            self.parts["stage"] = StagePart(stage)
+            self.adapters["stage"] = StageAdapter(stage)
         if camera is not None:
-            self.parts["camera"] = CameraPart(camera)
+            self.adapters["camera"] = CameraAdapter(camera)
         if nosepiece is not None:
-            self.parts["nosepiece"] = NosepiecePart(nosepiece)
+            self.adapters["nosepiece"] = NosepieceAdapter(nosepiece)
         if light is not None:
-            self.parts["light"] = LightPart(light)
-        if not self.parts:
+            self.adapters["light"] = LightAdapter(light)
+        if not self.adapters:
             raise ValueError("a driver needs at least one of stage, camera, nosepiece and light")
-        self.workers = {device: Worker(device) for device in self.parts}
+        self.workers = {device: Worker(device) for device in self.adapters}
         self._lock = threading.Lock()
         self._stops = 0
 
     def describe(self) -> dict[str, Any]:
         """The devices as hello tells them."""
-        return {device: part.describe() for device, part in self.parts.items()}
+        return {device: adapter.describe() for device, adapter in self.adapters.items()}
 
     def stops_so_far(self) -> int:
         """How often `stop` was asked for."""
@@ -85,14 +85,14 @@ class Instrument:
 
     def do(self, device: str, request: Request, stops_seen: int) -> Reply:
         """Carry out `request`, on the worker of `device`. `stops_seen` is the count when the request was read."""
-        part = self.parts[device]
-        starts = request.call in part.starts
+        adapter = self.adapters[device]
+        starts = request.call in adapter.starts
         if starts and self.stops_so_far() != stops_seen:
             raise Refused("stop came before this had begun; nothing moved")
-        reply = part.calls[request.call](request)
+        reply = adapter.calls[request.call](request)
         if starts and self.stops_so_far() != stops_seen:
             # The stop may have reached the device before the move did.
-            part.device.stop()
+            adapter.device.stop()
         return reply
 
     def stop(self) -> None:
@@ -107,7 +107,7 @@ class Instrument:
             except BaseException as error:
                 errors.append(error)
 
-        moving = [part.device for name, part in self.parts.items() if name in ("stage", "nosepiece")]
+        moving = [adapter.device for name, adapter in self.adapters.items() if name in ("stage", "nosepiece")]
         threads = [
             threading.Thread(target=tell, args=(device,), daemon=True, name="stop")
             for device in moving

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from .devices import Objective
-from .parts import MOVES
+from .adapters import MOVES
 from .serving import serve, serve_tcp
 
 

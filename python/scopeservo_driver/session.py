@@ -13,7 +13,7 @@ from typing import Protocol
 from .errors import BadRequest, Busy, DriverError, Refused, Unsupported
 from .instrument import DEVICE_OF_CALL, Instrument, as_driver_error
 from .messages import LineSplitter, NotUnderstood, Request, encode, encode_error, parse_request
-from .parts import Reply
+from .adapters import Reply
 
 PROTOCOL = 1
 

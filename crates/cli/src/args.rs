@@ -40,7 +40,7 @@ pub(crate) enum Command {
     Doctor(DoctorArgs),
     /// Calibrate objectives: how pixels relate to the stage, measured without a pattern.
     Calibrate(CalibrateArgs),
-    /// Focus with the objective in the beam.
+    /// Focus with the active objective.
     Focus(FocusArgs),
     /// The stage, through the rules of your file.
     #[command(subcommand)]

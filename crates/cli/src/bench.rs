@@ -3,8 +3,8 @@
 use crate::answer::Answer;
 use crate::args::{DemoArgs, Noise};
 use crate::console::{Console, Late, Told};
-use crate::desk::rein_in;
 use crate::error::CliError;
+use crate::open_instrument::stop_on_interrupt;
 use crate::progress::Watcher;
 use crate::scene::{self, Scene};
 use scopeservo_scope::{CancelToken, Clock, Instrument, ObjectiveId, VirtualClock};
@@ -42,10 +42,10 @@ impl Bench {
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
         let twin = Twin::new(config, specimen.clone(), args.seed, clock)?;
         let cancel = CancelToken::new();
-        let reins = rein_in(&cancel, answer);
+        let stop = stop_on_interrupt(&cancel, answer);
         let scope = Instrument::new(twin.devices(), twin.rules(), cancel)?;
         let scope = Arc::new(scope);
-        reins.hold(&scope);
+        stop.hold(&scope);
         // Nothing of it outlives the program. Each view may be kept, and none is left out.
         let journal = Arc::new(MemoryJournal::default());
         let console = Console::new(&scope, journal, Late::WaitedFor, |_| {})?;

@@ -21,7 +21,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 const DEFAULT_OUT: &str = "scopeservo-demo";
-/// Scales that a picture from a microscope can have.
+/// Scales that an image from a microscope can have.
 const UM_PER_PX: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 const MAX_SHIFT_UM: f64 = 1e5;
 
@@ -225,7 +225,7 @@ fn arrival_error(target: &Truth, view: &Truth) -> ([f64; 2], f64) {
     )
 }
 
-/// A displacement on the specimen, along the target picture's columns and rows.
+/// A displacement on the specimen, along the target image's columns and rows.
 fn along_picture(target: &Truth, offset_um: [f64; 2]) -> [f64; 2] {
     let m = target.specimen_from_pixel;
     [0, 1].map(|k| (m[0][k] * offset_um[0] + m[1][k] * offset_um[1]) / f64::hypot(m[0][k], m[1][k]))

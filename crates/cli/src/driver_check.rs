@@ -2,9 +2,9 @@
 
 use crate::answer::Answer;
 use crate::args::DriverCheckArgs;
-use crate::desk::rein_in;
 use crate::doctor::{Finding, Findings};
 use crate::error::CliError;
+use crate::open_instrument::stop_on_interrupt;
 use scopeservo_protocol::{Driver, Secret};
 use scopeservo_scope::{
     CancelToken, ChangeRule, Clock, Devices, Instrument, Light, Rules, ScopeError, SystemClock,
@@ -22,7 +22,7 @@ const STOP_WITHIN: Duration = Duration::from_millis(200);
 pub(crate) fn run(args: &DriverCheckArgs, answer: &Answer) -> Result<bool, CliError> {
     let secret = args.secret_file.as_deref().map(read_secret).transpose()?;
     let cancel = CancelToken::new();
-    let reins = rein_in(&cancel, answer);
+    let stop = stop_on_interrupt(&cancel, answer);
     let _held = Held::driver(&args.command, args.tcp.as_deref())?;
     let driver = open(args, secret.as_ref())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
@@ -37,7 +37,7 @@ pub(crate) fn run(args: &DriverCheckArgs, answer: &Answer) -> Result<bool, CliEr
     let camera = devices.camera.is_some();
     let nosepiece = devices.nosepiece.is_some();
     let scope = instrument(devices, args.retract_z_um, &cancel)?;
-    reins.hold(&scope);
+    stop.hold(&scope);
 
     if stage && camera {
         // The smallest steps first.
@@ -87,7 +87,7 @@ pub(crate) fn run(args: &DriverCheckArgs, answer: &Answer) -> Result<bool, CliEr
             let driver = open(args, secret.as_ref())?;
             let devices = driver.devices(&clock).map_err(SetupError::from)?;
             let scope = instrument(devices, args.retract_z_um, &cancel)?;
-            reins.hold(&scope);
+            stop.hold(&scope);
             Ok(scope)
         };
         let (checks, opened) =

@@ -79,7 +79,7 @@ impl From<JobError> for CliError {
             JobError::Stopped { at } => Self::Servo(ScopeError::Interrupted { at }.into()),
             JobError::Procedure(error) => Self::Servo(error),
             JobError::NoObjective { available } => Self::Usage(format!(
-                "nobody knows which objective is in the beam: name one with --objective. There are {available}"
+                "nobody knows which objective is active: name one with --objective. There are {available}"
             )),
             JobError::Journal(_) => Self::Library(LibraryError::NotKept {
                 path: "journal".into(),

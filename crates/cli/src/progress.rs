@@ -131,9 +131,9 @@ impl Watcher {
     }
 }
 
-/// What a picture told, for whoever turned the nosepiece.
+/// What an image told, for whoever turned the nosepiece.
 fn identified(told: &ObjectiveId, identity: &Identity) -> String {
-    let scale = format!("the picture has {:.3} um per pixel", identity.um_per_px);
+    let scale = format!("the image has {:.3} um per pixel", identity.um_per_px);
     match (identity.as_told, &identity.looks_like) {
         (true, _) => format!("{told} is in: {scale}"),
         (false, Some(other)) => format!("that is not {told}: {scale}, as {other} has"),

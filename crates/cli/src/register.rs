@@ -101,7 +101,7 @@ fn look(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError> {
     Ok(found)
 }
 
-/// From the pictures as they were looked at to the pictures as they are.
+/// From the images as they were looked at to the images as they are.
 struct Full {
     view_factor: usize,
     target_factor: usize,
@@ -164,7 +164,7 @@ fn tell(
             json.verdict = "suspect";
             json.reason = "suspect".into();
             json.message = format!(
-                "{inliers} places agree where they are in the picture, and only {:.0} % of the picture is alike: dust on the camera, a reticle \
+                "{inliers} places agree where they are in the image, and only {:.0} % of the image is alike: dust on the camera, a reticle \
                  or burnt-in text do that. If both show the same place, say so with --same-place",
                 100.0 * share
             );
@@ -203,7 +203,7 @@ fn two_places(rival: &Rival, here: &Affine2, there: &Affine2) -> String {
         _ => String::new(),
     };
     format!(
-        "the view's first pixel may lie at {} or at {}{turned}, and nothing tells which: give pictures with something that is there only once",
+        "the view's first pixel may lie at {} or at {}{turned}, and nothing tells which: give images with something that is there only once",
         at(here),
         at(there)
     )

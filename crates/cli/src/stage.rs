@@ -2,8 +2,8 @@
 
 use crate::answer::Answer;
 use crate::args::{PlaceArgs, StageGoArgs};
-use crate::desk::Desk;
 use crate::error::CliError;
+use crate::open_instrument::OpenInstrument;
 use indicatif::ProgressBar;
 use scopeservo_protocol::Place;
 use scopeservo_scope::{Axis, StagePose};
@@ -35,9 +35,9 @@ pub(crate) fn go(args: &StageGoArgs, answer: &Answer) -> Result<bool, CliError> 
             "the goal of {axis} must be a number"
         )));
     }
-    let desk = Desk::open(&args.instrument, answer)?;
-    desk.tell_what_waits(answer);
-    let gate = desk.scope.gate();
+    let opened = OpenInstrument::open(&args.instrument, answer)?;
+    opened.tell_what_waits(answer);
+    let gate = opened.scope.gate();
     let from = gate.position()?;
     let bar = ProgressBar::new_spinner();
     let at = std::thread::scope(|s| {
@@ -52,7 +52,7 @@ pub(crate) fn go(args: &StageGoArgs, answer: &Answer) -> Result<bool, CliError> 
                 }
             }
         });
-        let at = desk.scope.move_to(&to);
+        let at = opened.scope.move_to(&to);
         drop(done);
         at
     });

@@ -62,7 +62,7 @@ impl ViewWriter {
                 .map_err(std::io::Error::other)
                 .and_then(|()| fs::write(&path, png));
         if let Err(source) = written {
-            // Half a picture is none.
+            // Half an image is none.
             let _ = fs::remove_file(&path);
             self.failed = Some(LibraryError::not_kept(&path)(source).into());
         }

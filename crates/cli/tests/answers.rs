@@ -141,7 +141,7 @@ fn json_that_cannot_be_written_is_exit_1_and_lines_that_cannot_are_a_warning() {
 fn with_json_there_is_one_object_on_every_early_end() {
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
-    fs::write(here.join("letter.png"), "no picture").unwrap();
+    fs::write(here.join("letter.png"), "no image").unwrap();
     describe(here, ONE_OBJECTIVE);
     fs::write(here.join("broken.toml"), "name = 3").unwrap();
     for (line, word, exit) in [

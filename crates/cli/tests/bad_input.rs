@@ -13,7 +13,7 @@ fn text(path: &Path) -> &str {
     path.to_str().expect("the temporary folder's name is UTF-8")
 }
 
-/// A tissue picture of 900 x 700 um and what can be made of it.
+/// A tissue image of 900 x 700 um and what can be made of it.
 fn picture(folder: &Path) -> (Vec<u8>, usize, usize, String) {
     let (w, h) = (1800, 1400);
     let gray = tissue_gray(3, [0.0, 0.0], w, h);

@@ -1,4 +1,4 @@
-//! The simulated microscope seen through cameras of our own: over the web, as a stream and picture by picture, and through a folder
+//! The simulated microscope seen through cameras of our own: over the web, as a stream and image by image, and through a folder
 //! that another program fills. Stage and nosepiece are reached over the driver protocol.
 
 #![expect(clippy::print_stdout, reason = "a test may tell what it measured")]

@@ -1,4 +1,4 @@
-//! `register` and `target save` are sure only where the pictures are: what is fixed to the camera, what repeats itself and what is mirrored
+//! `register` and `target save` are sure only where the images are: what is fixed to the camera, what repeats itself and what is mirrored
 //! is told as such.
 
 mod common;

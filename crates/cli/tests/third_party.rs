@@ -142,7 +142,7 @@ fn micro_managers_sample_is_found_again_across_two_objectives() {
     assert!(off < 0.75, "{off}");
 }
 
-/// A colour picture of tissue for others to look at.
+/// A colour image of tissue for others to look at.
 fn specimen(path: &Path, size: usize) {
     let half = size as f64 / 4.0;
     let patch = Tissue::new(9)

@@ -20,11 +20,11 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
 const DELAY: Duration = Duration::from_millis(40);
-/// Longer than the emulator's delay, and what a picture takes on its way.
+/// Longer than the emulator's delay, and what an image takes on its way.
 const LATENCY_MS: f64 = 70.0;
 const TIMEOUT_MS: f64 = 400.0;
 
-/// A grey that says which moment a picture shows.
+/// A grey that says which moment an image shows.
 struct World(Arc<AtomicU8>);
 
 impl World {
@@ -270,7 +270,7 @@ fn the_wrong_address_is_told_with_what_to_do() {
         opened.err().unwrap().to_string()
     };
     let shot = said("/shot");
-    assert!(shot.contains("for single pictures use snapshot"), "{shot}");
+    assert!(shot.contains("for single images use snapshot"), "{shot}");
     let nothing = said("/video");
     assert!(
         nothing.contains("404") && nothing.contains("no such path"),

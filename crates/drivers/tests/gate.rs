@@ -28,7 +28,7 @@ struct Turret {
     state: Arc<Mutex<Turn>>,
 }
 
-/// The objective in the beam, and the one on its way with the time of its arrival.
+/// The active objective, and the one on its way with the time of its arrival.
 type Turn = (Option<usize>, Option<(usize, Instant)>);
 
 impl Turret {

@@ -129,7 +129,7 @@ fn changes(gate: &MotionGate, turned_deg: impl Fn() -> f64, homed: bool) {
     assert_eq!(gate.current_objective(), Ok(Some(id("40x"))));
     gate.start_move(&z(-1000.0)).unwrap();
     assert_eq!(settled(|| gate.poll()), Motion::Settled);
-    // Stopped on the way there is no objective in the beam, and another change is allowed.
+    // Stopped on the way there is no active objective, and another change is allowed.
     gate.start_change(&id("10x")).unwrap();
     std::thread::sleep(Duration::from_millis(30));
     gate.stop().unwrap();

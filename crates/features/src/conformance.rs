@@ -1,6 +1,6 @@
-//! One suite for every engine: known warps, pictures without anything to find, tiny ones, 16 bits, threads.
+//! One suite for every engine: known warps, images without anything to find, tiny ones, 16 bits, threads.
 //!
-//! Each check returns a sentence on failure. The pictures are made up: soft spots of many sizes, some of them oblong, drawn at any warp
+//! Each check returns a sentence on failure. The images are made up: soft spots of many sizes, some of them oblong, drawn at any warp
 //! from the same list, so that the truth is known.
 
 use crate::{FeatureEngine, Features, Gate, GrayImage, Match, MatchOptions};
@@ -16,7 +16,7 @@ pub struct Check {
 
 /// So many features are asked for.
 const MOST: usize = 400;
-/// Size of the pictures.
+/// Size of the images.
 const SIDE: [usize; 2] = [320, 240];
 /// A match agrees with the warp when it lands so near, pixels.
 const NEAR_PX: f64 = 3.0;
@@ -77,7 +77,7 @@ fn spots() -> impl Iterator<Item = [f64; 6]> {
     })
 }
 
-/// A similarity about the picture's centre.
+/// A similarity about the image's centre.
 #[derive(Clone, Copy)]
 struct Warp {
     scale: f64,
@@ -133,7 +133,7 @@ fn see(engine: &dyn FeatureEngine, image: &GrayImage) -> Result<Features, String
     features.check().map_err(|e| e.to_string())?;
     ensure(
         [features.width, features.height] == [image.width(), image.height()],
-        || "the features are of a picture of another size".into(),
+        || "the features are of an image of another size".into(),
     )?;
     ensure(features.engine == engine.name(), || {
         format!(
@@ -228,7 +228,7 @@ fn nothing(engine: &dyn FeatureEngine) -> Result<(), String> {
         let seen = see(engine, &image.map_err(|e| e.to_string())?)?;
         ensure(seen.is_empty(), || {
             format!(
-                "{} features of a picture that is {value} everywhere",
+                "{} features of an image that is {value} everywhere",
                 seen.len()
             )
         })?;
@@ -260,7 +260,7 @@ fn sixteen_bits(engine: &dyn FeatureEngine) -> Result<(), String> {
     let n = shared(&unit, &wide);
     ensure(n as f64 >= 0.9 * unit.len() as f64, || {
         format!(
-            "of {} features of a picture from 0 to 1 there are {n} in the same from 0 to 65535",
+            "of {} features of an image from 0 to 1 there are {n} in the same from 0 to 65535",
             unit.len()
         )
     })

@@ -13,7 +13,7 @@ pub struct EngineInfo {
     pub cpu_level: String,
 }
 
-/// Finds features in pictures and compares them. The same picture gives the same features, on any number of threads, and several threads
+/// Finds features in images and compares them. The same image gives the same features, on any number of threads, and several threads
 /// may ask at once.
 pub trait FeatureEngine: Debug + Send + Sync {
     /// A short name. Features can be compared when those of their engines are the same.
@@ -22,13 +22,13 @@ pub trait FeatureEngine: Debug + Send + Sync {
     /// Which code it is, for the record of a run.
     fn info(&self) -> EngineInfo;
 
-    /// The strongest features of a picture, at most so many, the strongest first. A picture without any gives none.
+    /// The strongest features of an image, at most so many, the strongest first. An image without any gives none.
     ///
-    /// Places are in pixels of the picture, whole numbers at pixel centres; `sigma` is the size in pixels, and scales with the picture;
+    /// Places are in pixels of the image, whole numbers at pixel centres; `sigma` is the size in pixels, and scales with the image;
     /// `angle` turns with it, radians from +x towards +y. An engine that knows no sizes or angles cannot take part.
     ///
     /// # Errors
-    /// [`FeatureError`] with what the picture or the settings lack.
+    /// [`FeatureError`] with what the image or the settings lack.
     fn features(&self, image: &GrayImage, most: usize) -> Result<Features, FeatureError>;
 
     /// The nearest neighbours among the pairs that the gate admits, in order of `query`.

@@ -3,7 +3,7 @@
 use crate::{Descriptors, FeatureError, Keypoint};
 use scopeservo_sift::SiftError;
 
-/// All features of one picture: a value that can be kept and compared later without it.
+/// All features of one image: a value that can be kept and compared later without it.
 ///
 /// Descriptor `i` belongs to `keypoints[i]`; the strongest come first. In JSON it is text: the bytes of [`to_bytes`](Self::to_bytes) in
 /// base64. What earlier versions wrote out feature by feature is read, too.
@@ -11,9 +11,9 @@ use scopeservo_sift::SiftError;
 pub struct Features {
     /// The name of the engine that made them.
     pub engine: String,
-    /// Columns of the picture.
+    /// Columns of the image.
     pub width: usize,
-    /// Rows of the picture.
+    /// Rows of the image.
     pub height: usize,
     /// Where they are.
     pub keypoints: Vec<Keypoint>,
@@ -22,7 +22,7 @@ pub struct Features {
 }
 
 impl Features {
-    /// None, of a picture of this size.
+    /// None, of an image of this size.
     pub fn none(engine: &str, width: usize, height: usize) -> Self {
         Self {
             engine: engine.into(),
@@ -72,7 +72,7 @@ impl Features {
         })
     }
 
-    /// Checks what a damaged file or an engine with a mistake may break: equal numbers, finite keypoints with a size inside the picture.
+    /// Checks what a damaged file or an engine with a mistake may break: equal numbers, finite keypoints with a size inside the image.
     ///
     /// # Errors
     /// [`FeatureError::Sift`] with what does not hold.

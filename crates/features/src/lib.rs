@@ -1,11 +1,11 @@
-//! Features of a picture, whichever engine finds them.
+//! Features of an image, whichever engine finds them.
 //!
 //! A [`FeatureEngine`] finds [`Features`]: keypoints, and descriptors that any engine may shape as it likes (bytes, bits or real numbers).
-//! Features can be compared when their engines have the same name, and be kept without the picture. An engine is one file: one
-//! function is enough, as exact matching comes with the trait. [`conformance`] tries any engine on known warps and on pictures that
+//! Features can be compared when their engines have the same name, and be kept without the image. An engine is one file: one
+//! function is enough, as exact matching comes with the trait. [`conformance`] tries any engine on known warps and on images that
 //! are empty, constant, tiny or of 16 bits. The engine of this project is SIFT ([`SiftEngine`]); an [`Engine`] is a handle to any.
 //!
-//! Pictures, keypoints and matches have the types of the SIFT library, which stands on its own.
+//! Images, keypoints and matches have the types of the SIFT library, which stands on its own.
 
 #![cfg_attr(
     not(test),

@@ -1,8 +1,8 @@
-//! Which parts of a picture count.
+//! Which parts of an image count.
 
 use serde::{Deserialize, Serialize};
 
-/// A mask over a picture, in square cells: what is known to belong to the specimen, and not to the camera.
+/// A mask over an image, in square cells: what is known to belong to the specimen, and not to the camera.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Mask {
     width: usize,
@@ -31,7 +31,7 @@ impl Mask {
         }
     }
 
-    /// Of the bytes of a grey picture of its cells, row by row: what is not black counts. `None` when the numbers disagree.
+    /// Of the bytes of a grey image of its cells, row by row: what is not black counts. `None` when the numbers disagree.
     pub fn from_cells(width: usize, height: usize, cell: usize, cells: &[u8]) -> Option<Self> {
         let fits = cell > 0 && width.div_ceil(cell) * height.div_ceil(cell) == cells.len();
         fits.then(|| Self {
@@ -54,7 +54,7 @@ impl Mask {
         (size, bytes.collect())
     }
 
-    /// Whether the cell of a place counts; outside of the picture nothing does.
+    /// Whether the cell of a place counts; outside of the image nothing does.
     pub fn holds(&self, [x, y]: [f64; 2]) -> bool {
         // The first pixel begins half a pixel before its centre.
         let (x, y) = (x + 0.5, y + 0.5);

@@ -11,7 +11,7 @@ use std::sync::{Mutex, PoisonError};
 pub(crate) const NAME: &str = "sift";
 /// Bytes of its descriptors.
 pub(crate) const COMPONENTS: usize = 128;
-/// So many detectors are kept from picture to picture, with their planes: 15 MB each for pictures of 640 x 480.
+/// So many detectors are kept from image to image, with their planes: 15 MB each for images of 640 x 480.
 const KEPT: usize = 2;
 
 /// SIFT with RootSIFT descriptors, on the instructions that the processor has.
@@ -23,7 +23,7 @@ pub struct SiftEngine {
 }
 
 impl SiftEngine {
-    /// An engine with these settings; how many features are wanted is said with each picture.
+    /// An engine with these settings; how many features are wanted is said with each image.
     pub fn new(options: Options) -> Self {
         Self {
             options,

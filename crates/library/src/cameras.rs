@@ -1,4 +1,4 @@
-//! The shadows of dust on an instrument's camera on disk: a grey picture of 16 bits, where 16384 is a pixel that gets all of its light.
+//! The shadows of dust on an instrument's camera on disk: a grey image of 16 bits, where 16384 is a pixel that gets all of its light.
 
 use crate::LibraryError;
 use crate::files::{self, make_folder};
@@ -13,7 +13,7 @@ const CLEAR: f32 = 16384.0;
 
 /// The shadows on an instrument's cameras.
 pub trait Cameras {
-    /// Those that were seen last with pictures of that size; `None` when none ever were.
+    /// Those that were seen last with images of that size; `None` when none ever were.
     ///
     /// # Errors
     /// [`LibraryError::Read`], [`LibraryError::Damaged`].
@@ -65,7 +65,7 @@ impl Cameras for Folder {
     }
 }
 
-/// Shadows from their picture; else what is wrong with it.
+/// Shadows from their image; else what is wrong with it.
 pub(crate) fn from_png(bytes: &[u8]) -> Result<FlatField, String> {
     let picture = image::load_from_memory_with_format(bytes, image::ImageFormat::Png)
         .map_err(|e| e.to_string())?

@@ -82,7 +82,7 @@ pub(crate) fn to_json(value: &impl Serialize) -> Result<Vec<u8>, LibraryError> {
     serde_json::to_vec_pretty(value).map_err(|e| LibraryError::Encode(e.to_string()))
 }
 
-/// A picture as a PNG; samples of 16 bits in the machine's order.
+/// An image as a PNG; samples of 16 bits in the machine's order.
 pub(crate) fn to_png(
     samples: &[u8],
     [width, height]: [usize; 2],

@@ -44,7 +44,7 @@ pub struct JournalStep {
     pub stage: StagePose,
     /// Whether it knew where it is.
     pub homed: bool,
-    /// The objective in the beam.
+    /// The active objective.
     pub objective: Option<ObjectiveId>,
     /// The state of the procedure.
     pub state: Value,

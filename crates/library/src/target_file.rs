@@ -3,9 +3,9 @@
 //! | member | what |
 //! |---|---|
 //! | `target.json` | how it was taken: objective, pixel size, stage pose, calibration, exposure, quality |
-//! | `image.png` | the picture as the camera gave it, in full depth; samples of 9 to 15 bits lie in the high bits of 16 |
-//! | `shadows.png` | what lay on the camera, where something did: a grey picture of 16 bits, 16384 is a clear pixel |
-//! | `mask.png` | what of the picture was seen to move with the stage, where that was looked at: a pixel for each cell, white where it moved |
+//! | `image.png` | the image as the camera gave it, in full depth; samples of 9 to 15 bits lie in the high bits of 16 |
+//! | `shadows.png` | what lay on the camera, where something did: a grey image of 16 bits, 16384 is a clear pixel |
+//! | `mask.png` | what of the image was seen to move with the stage, where that was looked at: a pixel for each cell, white where it moved |
 //! | `features.bin` | the features and the name of their engine, little endian: "SSF2", length of the name (u32), name, width, height, count, form (0 bytes, 1 bits, 2 floats), components (u32), then for each x, y, sigma, angle, response (f32), octave (i8), layer (u8), bright (u8), 0, and the components (u8 or f32) |
 //! | `SHA256SUMS` | the checksums of all others, as `sha256sum --check` reads them; its own is the target's id |
 
@@ -59,7 +59,7 @@ struct Head {
     mask_cell_px: Option<usize>,
     stage: StagePose,
     taken: Option<HowTaken>,
-    /// The grey picture of a target that was saved when nothing else was kept of it.
+    /// The grey image of a target that was saved when nothing else was kept of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     picture: Option<Picture>,
 }
@@ -157,7 +157,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<KeptTarget, String> {
     let of_picture = [features.width, features.height];
     let mask = members.get("mask.png").map(|png| {
         let cell = head.mask_cell_px.unwrap_or(0);
-        mask(png, of_picture, cell).ok_or("its mask is that of another picture")
+        mask(png, of_picture, cell).ok_or("its mask is that of another image")
     });
     let shadows = members.get("shadows.png").map(|png| cameras::from_png(png));
     let taken = match head.taken {
@@ -188,7 +188,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<KeptTarget, String> {
     })
 }
 
-/// The mask over a picture of this size.
+/// The mask over an image of this size.
 fn mask(png: &[u8], [width, height]: [usize; 2], cell: usize) -> Option<Mask> {
     let image = image::load_from_memory_with_format(png, image::ImageFormat::Png);
     Mask::from_cells(width, height, cell, image.ok()?.to_luma8().as_raw())
@@ -241,7 +241,7 @@ fn taken(
 ) -> Result<Taken, String> {
     let seconds = |s: f64| Duration::try_from_secs_f64(s).map_err(|e| e.to_string());
     if !(1..=16).contains(&how.bit_depth) || how.um_per_px.is_nan() || how.um_per_px <= 0.0 {
-        return Err("its numbers are those of no picture".into());
+        return Err("its numbers are those of no image".into());
     }
     let image = image::load_from_memory_with_format(png, image::ImageFormat::Png);
     let shift = 16 - u32::from(how.bit_depth);
@@ -261,10 +261,10 @@ fn taken(
         ),
         DynamicImage::ImageLuma16(i) => (i.width(), i.height(), Channels::Gray, low(i.into_raw())),
         DynamicImage::ImageRgb16(i) => (i.width(), i.height(), Channels::Rgb, low(i.into_raw())),
-        _ => return Err("its picture is of another kind".into()),
+        _ => return Err("its image is of another kind".into()),
     };
     if matches!(samples, Samples::U8(_)) != (how.bit_depth <= 8) {
-        return Err("its picture has another depth".into());
+        return Err("its image has another depth".into());
     }
     Ok(Taken {
         frame: Arc::new(Frame {

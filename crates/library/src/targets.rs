@@ -1,4 +1,4 @@
-//! Saved views. A name is given once, each target is one file that can be copied to another library, and its picture lies beside it for
+//! Saved views. A name is given once, each target is one file that can be copied to another library, and its image lies beside it for
 //! people.
 
 use crate::files::{self, make_folder, write_new};
@@ -16,7 +16,7 @@ use std::time::{Duration, SystemTime};
 /// How a target's file ends.
 const ENDING: &str = "target";
 
-/// Schema 1: JSON, the features and a grey picture in it.
+/// Schema 1: JSON, the features and a grey image in it.
 #[derive(Deserialize)]
 struct First {
     saved: String,
@@ -45,7 +45,7 @@ pub trait Targets {
     /// [`LibraryError::NoTarget`], [`LibraryError::BadName`].
     fn target_path(&self, name: &str) -> Result<PathBuf, LibraryError>;
 
-    /// The picture of a saved target, for people; a target is found again without it.
+    /// The image of a saved target, for people; a target is found again without it.
     fn target_picture(&self, name: &str) -> Option<Frame>;
 
     /// Whether targets could be kept, before anything is done for one.
@@ -60,7 +60,7 @@ pub trait Targets {
     /// [`LibraryError::BadName`], [`LibraryError::Taken`], [`LibraryError::CannotWrite`].
     fn check_new_target(&self, name: &str) -> Result<(), LibraryError>;
 
-    /// Keeps a target under a new name, with its picture for people. Returns where it lies.
+    /// Keeps a target under a new name, with its image for people. Returns where it lies.
     ///
     /// # Errors
     /// [`LibraryError::Taken`], [`LibraryError::BadName`], [`LibraryError::NotKept`].
@@ -91,7 +91,7 @@ impl Folder {
         self.path().join("targets")
     }
 
-    /// The file that makes a target exist. Its picture lies beside it.
+    /// The file that makes a target exist. Its image lies beside it.
     fn target_file(&self, name: &str) -> Result<PathBuf, LibraryError> {
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
         if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
@@ -102,7 +102,7 @@ impl Folder {
         Ok(self.targets().join(format!("{name}.{ENDING}")))
     }
 
-    /// Writes the picture, then the file that makes the target exist.
+    /// Writes the image, then the file that makes the target exist.
     fn keep(
         &self,
         name: &str,
@@ -112,12 +112,12 @@ impl Folder {
         let path = self.target_file(name)?;
         let picture = self.targets().join(format!("{name}.png"));
         make_folder(&self.targets()).map_err(LibraryError::not_kept(&self.targets()))?;
-        // Another program may save one of that name at the same time: the picture must be that of whichever comes first.
+        // Another program may save one of that name at the same time: the image must be that of whichever comes first.
         let _lock = files::lock(&self.targets());
         if let Some(file) = self.existing(name)? {
             return Err(taken(name, file));
         }
-        // A picture alone is what a killed program left. The file that makes the target exist comes last.
+        // An image alone is what a killed program left. The file that makes the target exist comes last.
         if let Some(frame) = frame {
             files::replace(&picture, &png(frame)?).map_err(LibraryError::not_kept(&picture))?;
         }
@@ -263,7 +263,7 @@ fn read_target(path: &Path) -> Result<KeptTarget, LibraryError> {
     })
 }
 
-/// A picture for people.
+/// An image for people.
 fn png(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
     let size = [frame.width, frame.height];
     to_png(&frame.rgb8(), size, ExtendedColorType::Rgb8)
@@ -318,8 +318,8 @@ mod tests {
         let folder = Folder::new(dir.path().into());
         let targets = folder.targets();
         fs::create_dir(&targets).unwrap();
-        // Killed between the files: the picture is there, and the file that makes the target exist is not.
-        fs::write(targets.join("spot.png"), "half a picture").unwrap();
+        // Killed between the files: the image is there, and the file that makes the target exist is not.
+        fs::write(targets.join("spot.png"), "half an image").unwrap();
         assert!(folder.target_names().unwrap().is_empty());
         folder.check_new_target("spot").unwrap();
         let file = keep(&folder, "spot").unwrap();
@@ -327,7 +327,7 @@ mod tests {
         assert_eq!(folder.target("spot").unwrap().target, view().0);
         let picture = folder.target_picture("spot").unwrap();
         assert_eq!((picture.width, picture.height), (4, 3));
-        // Now it is taken, also for the picture, and where case does not count.
+        // Now it is taken, also for the image, and where case does not count.
         let before = fs::read(&file).unwrap();
         for name in ["spot", "SPOT"] {
             assert!(folder.check_new_target(name).is_err(), "{name}");

@@ -121,7 +121,7 @@ pub struct NosepieceHello {
     pub name: String,
     /// What it carries.
     pub objectives: Vec<ObjectiveHello>,
-    /// How it knows which one is in the beam.
+    /// How it knows which one is active.
     #[serde(default, skip_serializing_if = "is_sensed")]
     pub known_by: KnownBy,
 }

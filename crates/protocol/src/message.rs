@@ -88,7 +88,7 @@ pub enum Call {
     Home,
     /// Everything stops.
     Stop,
-    /// Which objective is in the beam, and what the nosepiece is doing.
+    /// Which objective is active, and what the nosepiece is doing.
     Objective,
     /// Bring an objective into the beam.
     Change {

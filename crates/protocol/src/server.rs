@@ -26,9 +26,9 @@ pub struct Offer {
 }
 
 /// A refusal on its way.
-struct No(Code, String);
+struct Refusal(Code, String);
 
-impl From<ScopeError> for No {
+impl From<ScopeError> for Refusal {
     fn from(error: ScopeError) -> Self {
         let code = match &error {
             ScopeError::OutsideLimits { .. }
@@ -45,7 +45,7 @@ impl From<ScopeError> for No {
                 _ => Code::Fault,
             },
         };
-        No(code, error.to_string())
+        Refusal(code, error.to_string())
     }
 }
 
@@ -57,13 +57,13 @@ impl<W: Write> Out<W> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn reply(&self, id: u64, answer: Result<(Object, Vec<u8>), No>) -> std::io::Result<()> {
+    fn reply(&self, id: u64, answer: Result<(Object, Vec<u8>), Refusal>) -> std::io::Result<()> {
         let (mut message, bytes) = match answer {
             Ok((mut object, bytes)) => {
                 object.insert("ok".into(), Value::Bool(true));
                 (object, bytes)
             }
-            Err(No(code, message)) => (
+            Err(Refusal(code, message)) => (
                 object(json!({"error": code, "message": message})),
                 Vec::new(),
             ),
@@ -108,7 +108,7 @@ impl Offer {
         stage.and(nosepiece)
     }
 
-    fn answer(&self, call: &Call) -> Result<(Object, Vec<u8>), No> {
+    fn answer(&self, call: &Call) -> Result<(Object, Vec<u8>), Refusal> {
         let devices = &self.devices;
         let stage = || devices.stage.as_deref().ok_or_else(|| no_such("stage"));
         let camera = || devices.camera.as_deref().ok_or_else(|| no_such("camera"));
@@ -117,7 +117,7 @@ impl Offer {
         let reply = match call {
             Call::Hello { protocol, .. } if *protocol != PROTOCOL => {
                 let message = format!("this driver speaks version {PROTOCOL} of the protocol");
-                return Err(No(Code::Unsupported, message));
+                return Err(Refusal(Code::Unsupported, message));
             }
             Call::Hello { .. } => json!(self.hello()?),
             Call::Position => json!(Place::from(&stage()?.position()?)),
@@ -148,7 +148,7 @@ impl Offer {
                     None => camera.exposure()?,
                     Some(ms) => {
                         let wanted = Duration::try_from_secs_f64(ms * 1e-3).map_err(|_| {
-                            No(Code::OutsideLimits, format!("{ms} ms is no exposure"))
+                            Refusal(Code::OutsideLimits, format!("{ms} ms is no exposure"))
                         })?;
                         camera.set_exposure(wanted)?
                     }
@@ -171,7 +171,7 @@ impl Offer {
         Ok((object(reply), Vec::new()))
     }
 
-    fn frame(&self, camera: &dyn Camera) -> Result<(Object, Vec<u8>), No> {
+    fn frame(&self, camera: &dyn Camera) -> Result<(Object, Vec<u8>), Refusal> {
         let frame = camera.grab()?;
         let bytes = match frame.samples {
             Samples::U8(samples) => samples,
@@ -193,8 +193,8 @@ impl Offer {
     }
 }
 
-fn no_such(device: &str) -> No {
-    No(Code::Unsupported, format!("there is no {device} here"))
+fn no_such(device: &str) -> Refusal {
+    Refusal(Code::Unsupported, format!("there is no {device} here"))
 }
 
 /// Speaks for `offer` until the input ends or says `bye`, then stops what moves. With a secret, nothing is done before it is proved.
@@ -258,7 +258,7 @@ fn converse<W: Write + Send>(
                         admitted()?;
                     }
                     _ => {
-                        let no = No(Code::Refused, "that is not the secret".into());
+                        let no = Refusal(Code::Refused, "that is not the secret".into());
                         out.reply(id, Err(no))?;
                         return Ok(());
                     }
@@ -266,7 +266,7 @@ fn converse<W: Write + Send>(
             }
             match call {
                 Call::Grab if exposing.swap(true, Ordering::SeqCst) => {
-                    let no = No(Code::Busy, "a frame is being exposed".into());
+                    let no = Refusal(Code::Busy, "a frame is being exposed".into());
                     out.reply(id, Err(no))?;
                 }
                 Call::Grab => {
@@ -332,13 +332,13 @@ impl Drop for Seat<'_> {
     }
 }
 
-fn request(object: Object) -> Result<Call, No> {
+fn request(object: Object) -> Result<Call, Refusal> {
     match serde_json::from_value::<Request>(Value::Object(object)) {
         Ok(request) => Ok(request.call),
         Err(error) if error.to_string().contains("unknown variant") => {
-            Err(No(Code::Unsupported, error.to_string()))
+            Err(Refusal(Code::Unsupported, error.to_string()))
         }
-        Err(error) => Err(No(Code::BadRequest, error.to_string())),
+        Err(error) => Err(Refusal(Code::BadRequest, error.to_string())),
     }
 }
 

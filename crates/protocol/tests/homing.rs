@@ -178,7 +178,7 @@ fn a_nosepiece_of_another_program_says_how_it_knows_its_objective() {
     assert!(gate.objective_is_reported());
     gate.confirm_objective();
     assert!(!gate.objective_is_reported());
-    // A picture shows another: whoever turned it is asked again.
+    // An image shows another: whoever turned it is asked again.
     assert!(gate.contradict_objective());
     assert_eq!(gate.current_objective(), Ok(None));
     scope.select_objective(&id).unwrap();

@@ -48,7 +48,7 @@ fn decides(seen: &Comparison) -> bool {
     yes - no > DECIDED_SIGMAS * (yes + no).sqrt()
 }
 
-/// The shortest shift that divides a rival's and under which the pictures look alike as well.
+/// The shortest shift that divides a rival's and under which the images look alike as well.
 fn shortest(pictures: &Pair, first: &Affine2, rival: &Rival) -> Rival {
     let shifted = |periods: u32| {
         let shift_px = rival.shift_px.map(|s| s / f64::from(periods));

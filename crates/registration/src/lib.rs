@@ -3,7 +3,7 @@
 //!
 //! 1. [`Correspondences`]: two-nearest matches of any feature engine, only between keypoints that the [`Prior`] allows.
 //! 2. LO-RANSAC from single oriented matches (or from three, the paper's way), then a robust weighted fit.
-//! 3. [`significance`]: a match set is *found* when so many agreeing places would come up by chance less than once in
+//! 3. [`significance`]: a match set is *found* when so many inliers would come up by chance less than once in
 //!    `1 / false_alarms` registrations, the transform is a possible one, and it is determined well enough.
 
 #![cfg_attr(

@@ -1,14 +1,14 @@
-//! How alike two pictures are under a transform, patch by patch: zero-mean normalised correlation, blind to gain and offset of each
+//! How alike two images are under a transform, patch by patch: zero-mean normalised correlation, blind to gain and offset of each
 //! patch and so to shading.
 
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, Vec2};
 
-/// Blur before comparing, in pixels of the coarser picture: sampling between pixels then changes noise little.
+/// Blur before comparing, in pixels of the coarser image: sampling between pixels then changes noise little.
 const BLUR_PX: f64 = 1.0;
 /// How much wider the blur is whose result is taken away.
 const BAND: f64 = 6.0;
-/// Half side of the patches that [`Pair::compare`] looks at, and their distance, in pixels of the coarser picture.
+/// Half side of the patches that [`Pair::compare`] looks at, and their distance, in pixels of the coarser image.
 const PATCH_RADIUS: usize = 6;
 const PATCH_STEP: usize = 10;
 /// A patch has structure when its variance is this many times that of the noise.
@@ -21,7 +21,7 @@ const APART: f64 = 0.35;
 /// Less variance than this is rounding, for values from 0 to 1.
 const LEAST_VARIANCE: f64 = 1e-12;
 
-/// A picture made ready for comparison.
+/// An image made ready for comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plane {
     width: usize,
@@ -122,7 +122,7 @@ pub struct Likeness {
 }
 
 impl Likeness {
-    /// The part of the variance that the other picture does not explain.
+    /// The part of the variance that the other image does not explain.
     fn residual(&self) -> f64 {
         self.variance * (1.0 - self.correlation.max(0.0).powi(2))
     }
@@ -170,7 +170,7 @@ pub fn likeness(
     })
 }
 
-/// What the patches of two pictures say of two transforms between them. Only patches that both transforms take into both pictures
+/// What the patches of two images say of two transforms between them. Only patches that both transforms take into both images
 /// count.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Comparison {
@@ -260,7 +260,7 @@ impl Pair {
         Some(seen.collect())
     }
 
-    /// Compares two transforms, patch by patch: on those of the coarser picture, each against where the transforms take it in the finer
+    /// Compares two transforms, patch by patch: on those of the coarser image, each against where the transforms take it in the finer
     /// one; and on those of the finer one, each against where it comes from. Patches whose place in the view `counts` do.
     pub fn compare(
         &self,
@@ -284,7 +284,7 @@ impl Pair {
         Some(found)
     }
 
-    /// For each patch of a grid over the finer picture, its place in the view and the likeness of the coarse patch that it comes from.
+    /// For each patch of a grid over the finer image, its place in the view and the likeness of the coarse patch that it comes from.
     fn look_back(
         &self,
         target_from_view: &Affine2,
@@ -323,7 +323,7 @@ impl Pair {
         Some(seen)
     }
 
-    /// The transform near `rough`, shifted by up to a pixel and a half of the coarser picture, under which the patches correlate
+    /// The transform near `rough`, shifted by up to a pixel and a half of the coarser image, under which the patches correlate
     /// most.
     pub fn refined(&self, rough: &Affine2) -> Affine2 {
         const STEPS: [f64; 7] = [0.0, -0.5, 0.5, -1.0, 1.0, -1.5, 1.5];
@@ -413,7 +413,7 @@ impl Pair {
 
 /// A patch has much structure when its variance is this share of that of the strongest ones.
 const STRONG: f64 = 0.1;
-/// So far aside, pixels of the target, a picture is still like itself: by this share.
+/// So far aside, pixels of the target, an image is still like itself: by this share.
 const ASIDE_PX: f64 = 2.0;
 const SMOOTH: f64 = 0.45;
 /// A patch of noise correlates so much with another in one case of a hundred.

@@ -43,7 +43,7 @@ pub enum NotFound {
         matches: usize,
     },
     /// As many agreeing matches come up between unrelated images.
-    #[error("{inliers} agreeing places among {matches} matches could be chance")]
+    #[error("{inliers} inliers among {matches} matches could be chance")]
     ByChance {
         /// Agreeing unique places.
         inliers: usize,
@@ -76,7 +76,7 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// That of a picture to itself, known for sure.
+    /// That of an image to itself, known for sure.
     pub fn at_rest() -> Self {
         Self {
             target_from_view: Affine2::IDENTITY,
@@ -99,7 +99,7 @@ pub struct Registration {
     pub matches: usize,
     /// log10 of the expected number of agreements as good between unrelated images; `None` when nothing agreed.
     pub log10_nfa: Option<f64>,
-    /// Agreeing places for drawing: x, y in the view, x, y in the target.
+    /// Inliers for drawing: x, y in the view, x, y in the target.
     pub pairs: Vec<[f32; 4]>,
     /// The same as indices: feature of the view, feature of the target.
     pub agreeing: Vec<[usize; 2]>,

@@ -1,4 +1,4 @@
-//! Whether a picture repeats itself: peaks of its autocorrelation, band-passed, windowed and normalised by the window's own
+//! Whether an image repeats itself: peaks of its autocorrelation, band-passed, windowed and normalised by the window's own
 //! (Wiener-Khinchin).
 
 use crate::likeness::Plane;
@@ -8,22 +8,22 @@ use scopeservo_features::GrayImage;
 use scopeservo_geometry::Vec2;
 use std::sync::Arc;
 
-/// A picture is like itself elsewhere when the autocorrelation there is at least this. Ordinary tissue reaches 0.44, lattices of 5 %
+/// An image is like itself elsewhere when the autocorrelation there is at least this. Ordinary tissue reaches 0.44, lattices of 5 %
 /// disorder 0.79.
 const ALIKE: f64 = 0.5;
 /// Peaks nearer than this are those of single things, pixels.
 const SHORTEST_PX: f64 = 3.5;
 /// Farther shifts leave so little of the window's overlap that noise makes peaks.
 const LEAST_OVERLAP: f64 = 0.08;
-/// A larger picture is thinned out.
+/// A larger image is thinned out.
 const MOST_PIXELS: usize = 1_500_000;
 /// So many are told: the nearest.
 const MOST: usize = 4;
 
-/// The shortest shifts, in pixels, under which the picture looks like itself; of each and its opposite one is told. Empty for what does not
+/// The shortest shifts, in pixels, under which the image looks like itself; of each and its opposite one is told. Empty for what does not
 /// repeat.
 pub fn periods(image: &GrayImage) -> Vec<Vec2> {
-    // Of a large picture every second, third... pixel of the blurred one: memory grows with the square.
+    // Of a large image every second, third... pixel of the blurred one: memory grows with the square.
     let every = (1..)
         .find(|f| (image.width() / f) * (image.height() / f) <= MOST_PIXELS)
         .unwrap_or(1);
@@ -91,7 +91,7 @@ pub fn periods(image: &GrayImage) -> Vec<Vec2> {
     peaks.into_iter().take(MOST).map(|p| p.1).collect()
 }
 
-/// Of a picture of `size`, padded by as much of nothing: no shift wraps around.
+/// Of an image of `size`, padded by as much of nothing: no shift wraps around.
 fn autocorrelation(values: &[f64], [width, height]: [usize; 2]) -> Vec<f64> {
     let (w, h) = (2 * width, 2 * height);
     let mut padded = vec![Complex::new(0.0, 0.0); w * h];

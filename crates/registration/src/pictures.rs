@@ -1,5 +1,5 @@
-//! Two pictures and nothing else: no stage that could move, so what is fixed to the camera and what repeats itself must be told from the
-//! pictures alone.
+//! Two images and nothing else: no stage that could move, so what is fixed to the camera and what repeats itself must be told from the
+//! images alone.
 
 use crate::correspondences::centre;
 use crate::likeness::Pair;
@@ -19,7 +19,7 @@ pub struct Allow {
     pub mirror: bool,
 }
 
-/// What two pictures say.
+/// What two images say.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PictureVerdict {
     /// One transform, and no other says as much. `mirrored`: it is a mirror image, as was allowed.
@@ -29,11 +29,11 @@ pub enum PictureVerdict {
         /// Whether the view is a mirror image.
         mirrored: bool,
     },
-    /// Both pictures agree where they are, and most of them does not: that is what dust on the sensor, a reticle or burnt-in text do.
+    /// Both images agree where they are, and most of them does not: that is what dust on the sensor, a reticle or burnt-in text do.
     Suspect {
         /// The transform, near the identity.
         estimate: Estimate,
-        /// Share of the picture that agrees.
+        /// Share of the image that agrees.
         share: f64,
     },
     /// Two transforms say as much.
@@ -58,14 +58,14 @@ const STAYS_DEG: f64 = 0.02;
 const STAYS_SCALE: f64 = 0.002;
 /// Most of the places, that is more than this share.
 const MOST_PLACES: f64 = 0.6;
-/// Of two pictures of one place at least so much is alike; dust, text and a reticle together were seen to cover half.
+/// Of two images of one place at least so much is alike; dust, text and a reticle together were seen to cover half.
 const MOST: f64 = 0.75;
-/// Fewer agreeing places than this, and the pixels must agree, too: single alike cells or dies of a lattice may agree by place
+/// Fewer inliers than this, and the pixels must agree, too: single alike cells or dies of a lattice may agree by place
 const FEW: usize = 20;
 /// in more than this share of what has the most structure.
 const FEW_EXPLAIN: f64 = 0.5;
 
-/// Registers two pictures with the features of an engine, and judges. `target` is described once and may be asked about many views; of a
+/// Registers two images with the features of an engine, and judges. `target` is described once and may be asked about many views; of a
 /// mirror image at most `most` features are made.
 ///
 /// # Errors
@@ -131,7 +131,7 @@ fn judge(
     let sensor = sensor(view, target);
     let stays = stays(&estimate, &sensor, view) || places_stay(answer, &sensor);
     let stays = stays && !allow.same_place;
-    // Not one bit changed, noise included: that is one picture.
+    // Not one bit changed, noise included: that is one image.
     let equal = view == target;
     let pair = Pair::new(view, target, transform.linear.det().abs().sqrt());
     if answer.inliers < FEW && pair.share_explained(&transform) < FEW_EXPLAIN {
@@ -156,7 +156,7 @@ fn judge(
         options,
         false,
     ));
-    // What decides for a picture that stays may itself be fixed to the camera.
+    // What decides for an image that stays may itself be fixed to the camera.
     let trusted = !stays || equal;
     if let Some(rival) = undecided(&pair, &transform, &rivals, trusted, |_| true) {
         return PictureVerdict::Ambiguous { estimate, rival };
@@ -167,13 +167,13 @@ fn judge(
     }
 }
 
-/// Target from view for what is fixed to the sensor, whatever size its pictures have.
+/// Target from view for what is fixed to the sensor, whatever size its images have.
 fn sensor(view: &GrayImage, target: &GrayImage) -> Affine2 {
     let [x, y] = [
         target.width() as f64 / view.width() as f64,
         target.height() as f64 / view.height() as f64,
     ];
-    // Both pictures begin at the same edge, half a pixel before the first pixel's centre.
+    // Both images begin at the same edge, half a pixel before the first pixel's centre.
     Affine2 {
         linear: Mat2::diagonal(x, y),
         offset: [0.5 * (x - 1.0), 0.5 * (y - 1.0)],
@@ -197,7 +197,7 @@ fn stays(estimate: &Estimate, sensor: &Affine2, view: &GrayImage) -> bool {
         && (scale - 1.0).abs() <= STAYS_SCALE + 3.0 * estimate.sigma_angle_rad
 }
 
-/// Whether most of the agreeing places are where they were on the sensor. A line of text, or the arms of a reticle, leaves open what a
+/// Whether most of the inliers are where they were on the sensor. A line of text, or the arms of a reticle, leaves open what a
 /// transform does beside it. Of few places the same column or row is enough: a sensor's pattern has columns.
 fn places_stay(answer: &Registration, sensor: &Affine2) -> bool {
     let near = STAYS_PX * pixel_of(sensor);
@@ -223,7 +223,7 @@ fn flipped(image: &GrayImage) -> Result<GrayImage, FeatureError> {
     Ok(GrayImage::new(image.width(), image.height(), data)?)
 }
 
-/// Target from the picture as it came, from target from its mirror image.
+/// Target from the image as it came, from target from its mirror image.
 fn unflip(target_from_mirror: &Affine2, width: usize) -> Affine2 {
     target_from_mirror.after(&Affine2 {
         linear: Mat2::diagonal(-1.0, 1.0),
@@ -239,7 +239,7 @@ fn unflipped(estimate: &Estimate, width: usize) -> Estimate {
 }
 
 impl PictureVerdict {
-    /// The verdict about a mirror image, told of the picture as it came.
+    /// The verdict about a mirror image, told of the image as it came.
     fn mirrored(self, width: usize) -> Self {
         match self {
             Self::Found { estimate, .. } => Self::Found {

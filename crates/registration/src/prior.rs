@@ -5,10 +5,10 @@ use scopeservo_geometry::Affine2;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
-/// How far the scale of two matched keypoints may be from the scale of the whole picture: factor. SIFT's scales
+/// How far the scale of two matched keypoints may be from the scale of the whole image: factor. SIFT's scales
 /// scatter by one step of its scale space (1.26) at most in nearly all true matches.
 const KEYPOINT_SCALE_SLACK: f64 = 1.6;
-/// How far the angle of two matched keypoints may be from the rotation of the whole picture.
+/// How far the angle of two matched keypoints may be from the rotation of the whole image.
 const KEYPOINT_ANGLE_SLACK_RAD: f64 = 0.4;
 
 /// How two keypoints lie: sigma in the view and in the target, pixels; angle in the view and in the target, radians.
@@ -39,7 +39,7 @@ pub struct Prior {
     pub scale: Option<ScalePrior>,
     /// The rotation, if known.
     pub rotation: Option<RotationPrior>,
-    /// The picture moved on the sensor by more than this: what lies nearer to where it was, pixels, is fixed to the camera.
+    /// The image moved on the sensor by more than this: what lies nearer to where it was, pixels, is fixed to the camera.
     pub moved_px: Option<f64>,
 }
 

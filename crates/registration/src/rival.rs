@@ -15,22 +15,22 @@ use scopeservo_geometry::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Agreeing places of the view that are asked for others like theirs.
+/// Inliers of the view that are asked for others like theirs.
 const ASKED: usize = 300;
 /// Others that each of them names: the nearest, so that of a lattice's many periods the shortest is seen.
 const NAMED: usize = 8;
 /// A descriptor is alike when its distance is at most this many times what the matched ones have.
 const ALIKE: f32 = 2.0;
-/// Pixels, of the coarser picture, that a place must lie from the matched one to be another.
+/// Pixels, of the coarser image, that a place must lie from the matched one to be another.
 const ELSEWHERE_PX: f64 = 6.0;
-/// A rival that explains this share of the places that lie in the other picture under it is significant.
+/// A rival that explains this share of the places that lie in the other image under it is significant.
 const RIVAL_SHARE: f64 = 0.3;
 /// Under a rival at least this share of those asked lie there.
 const RIVAL_OVERLAP: f64 = 0.2;
 /// Fewer places than these, at least or as a share of those asked, are not even worth a look at the pixels.
 const LEAST_PLACES: usize = 3;
 const LEAST_SHARE: f64 = 0.08;
-/// A pair of keypoints may scale by so much less or more than the whole picture.
+/// A pair of keypoints may scale by so much less or more than the whole image.
 const SCALE_SLACK: f64 = 1.6;
 /// How far the shift of a rival is from a multiple of a pixel's place on the sensor to be taken for fixed to it, px and rad.
 const FIXED: [f64; 2] = [3.0, 0.01];
@@ -67,7 +67,7 @@ struct Named {
     shape: [f64; 4],
 }
 
-/// Other transforms that some of the agreeing places have features for, the most places first. `without_identity`: what stays where it is
+/// Other transforms that some of the inliers have features for, the most places first. `without_identity`: what stays where it is
 /// on the sensor is no rival, since it is known not to be the specimen.
 pub fn find_rivals(
     view: &Features,
@@ -156,7 +156,7 @@ pub fn shifted(first: &Estimate, periods_px: &[Vec2]) -> Vec<Rival> {
     .collect()
 }
 
-/// Agreeing pairs spread over the picture: places that lie together would vote together.
+/// Agreeing pairs spread over the image: places that lie together would vote together.
 fn asked(
     view: &Features,
     target: &Features,
@@ -195,7 +195,7 @@ fn alike_limits(view: &Features, target: &Features, asked: &[[usize; 2]]) -> Vec
     own.iter().map(|d| ALIKE * ALIKE * d.max(usual)).collect()
 }
 
-/// The nearest features that look like `asked`, a keypoint of the other picture, and lie elsewhere than `here`.
+/// The nearest features that look like `asked`, a keypoint of the other image, and lie elsewhere than `here`.
 fn others(
     among: &Features,
     asked: &Keypoint,
@@ -331,7 +331,7 @@ fn rate(
         .flatten()
         .map(|t| (count(&t), t))
         .reduce(|a, b| if b.0 > a.0 { b } else { a })?;
-    // Those that lie in the other picture at all.
+    // Those that lie in the other image at all.
     let back = transform.inverse()?;
     let lies_in = |p: Vec2, f: &Features| {
         (0.0..f.width as f64).contains(&p[0]) && (0.0..f.height as f64).contains(&p[1])

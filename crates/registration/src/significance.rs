@@ -4,7 +4,7 @@
 //! of the others. The expected number of transforms through m of n matches that at least k matches agree with, each by
 //! chance with probability p, is at most
 //! `NFA(n, k, p) = (n - m) C(n, k) C(k, m) p^(k - m)`.
-//! An affine transform takes m = 3 matches, a similarity m = 2: five places that agree with a similarity say more than five
+//! An affine transform takes m = 3 matches, a similarity m = 2: five inliers with a similarity say more than five
 //! that agree with some affine transform.
 //! Accepting only `NFA < false_alarms` therefore bounds the expected number of false "found" per registration. The
 //! bound needs independent places, so matches are counted on unique places only. It is the bound of that model, not a

@@ -53,7 +53,7 @@ const TRUTH: Similarity = Similarity {
 };
 
 /// `good` pairs that obey TRUTH with `noise` px and `bad` pairs that obey nothing; a pair shares its descriptor. The good
-/// ones lie within `spot` of the picture's size.
+/// ones lie within `spot` of the image's size.
 fn pairs(good: usize, bad: usize, noise: f64, seed: u64, spot: f64) -> (Features, Features) {
     let mut rng = SplitMix64::new(seed);
     let (mut view, mut target) = (empty(), empty());

@@ -27,7 +27,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
     let mut out = String::from(
         "<p class=\"lead\">How a pixel of each objective relates to the stage, measured by moving the stage and watching the specimen. \
          <i>k</i> and φ read the map as in the paper's Eq. (1) and (3); η is where the stage's axis of rotation lies from the \
-         picture's middle. After ± one standard deviation.</p>\n<div class=\"cards\">\n",
+         image's middle. After ± one standard deviation.</p>\n<div class=\"cards\">\n",
     );
     for c in &r.timeline.calibrations {
         out.push_str(&card(r, c));
@@ -202,7 +202,7 @@ fn sigma(c: &Calibration, of: impl Fn(&Calibration) -> Option<f64>) -> Option<f6
     (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
 }
 
-/// Where the reference picture's middle was seen in each view.
+/// Where the reference image's middle was seen in each view.
 fn shifts(c: &Calibrating<'_>) -> String {
     let points: Vec<[f64; 2]> = c.shifts_px.iter().flatten().copied().collect();
     if points.is_empty() {
@@ -227,7 +227,7 @@ fn shifts(c: &Calibrating<'_>) -> String {
     let mut canvas = Canvas::new(
         216.0,
         &format!(
-            "Displacements of the picture in the calibration views of {}",
+            "Displacements of the image in the calibration views of {}",
             c.objective
         ),
     );

@@ -1,7 +1,7 @@
 //! A run as one self-contained HTML file: the answer first, then how it is known.
 //!
 //! A [`Recorder`] listens while a run happens. [`html`] turns what it heard into a page of inline SVG and embedded
-//! pictures that loads nothing from anywhere. What a run did not come to is said in a sentence where it would stand.
+//! images that loads nothing from anywhere. What a run did not come to is said in a sentence where it would stand.
 //!
 //! Known to this crate: events, frames, calibrations. Unknown: how they came about, and files.
 

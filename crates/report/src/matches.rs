@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 /// More lines than this are a carpet.
 const SHOWN_PAIRS: usize = 120;
-/// Between the two pictures, as a share of the view's width.
+/// Between the two images, as a share of the view's width.
 const GAP: f64 = 0.03;
 
 pub(crate) fn section(r: &Report<'_>) -> String {
@@ -58,7 +58,7 @@ fn drawing(
     (tw, th): (f64, f64),
     pairs: &[[f32; 4]],
 ) -> (String, usize) {
-    // Both pictures as high as the view.
+    // Both images as high as the view.
     let scale = h / th;
     let gap = w * GAP;
     let right = w + gap;

@@ -14,7 +14,7 @@ pub(crate) struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// Columns and rows of the target, as good as known: its picture's, else those of its calibration.
+    /// Columns and rows of the target, as good as known: its image's, else those of its calibration.
     pub(crate) fn target_size(&self) -> Option<[f64; 2]> {
         let picture = self.gallery.size("target").map(|(w, h)| [w, h]);
         picture.or_else(|| {
@@ -70,9 +70,9 @@ pub struct TrueIteration {
     pub error_um: f64,
     /// Angle between view and target, degrees.
     pub error_deg: f64,
-    /// The distance on the specimen along the target picture's columns, um; positive to its right.
+    /// The distance on the specimen along the target image's columns, um; positive to its right.
     pub x_um: f64,
-    /// The distance on the specimen along the target picture's rows, um; positive downwards.
+    /// The distance on the specimen along the target image's rows, um; positive downwards.
     pub y_um: f64,
 }
 
@@ -119,7 +119,7 @@ pub struct Context {
     pub virtual_time: bool,
     /// How long the program ran.
     pub wall_time_s: Option<f64>,
-    /// Whose picture or specimen it is.
+    /// Whose image or specimen it is.
     pub credit: Option<String>,
     /// The convergence test in force, when its limits are to be drawn.
     pub convergence: Option<Convergence>,

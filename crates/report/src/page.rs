@@ -57,7 +57,7 @@ pub fn html(recorder: &Recorder, truth: Option<&Truth>, context: &Context) -> St
     out
 }
 
-/// The pictures that the page shows.
+/// The images that the page shows.
 fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
     let mut gallery = Gallery::default();
     if let Some(jpeg) = recorder.target().and_then(|t| t.jpeg()) {

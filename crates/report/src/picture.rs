@@ -1,4 +1,4 @@
-//! Pictures: kept as they came or compressed, and embedded once each.
+//! Images: kept as they came or compressed, and embedded once each.
 
 use crate::svg::Attr;
 use crate::text::escape;
@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::sync::Arc;
 
-/// Longer pictures are shown smaller than they came: a page for a phone.
+/// Longer images are shown smaller than they came: a page for a phone.
 const LONGEST_SIDE_PX: u32 = 1024;
 const QUALITY: u8 = 85;
 
@@ -22,7 +22,7 @@ pub(crate) struct Picture {
     rgb: Arc<[u8]>,
 }
 
-/// A compressed picture, with the size that it had before.
+/// A compressed image, with the size that it had before.
 #[derive(Debug, Clone)]
 pub(crate) struct Jpeg {
     pub(crate) width: usize,
@@ -82,14 +82,14 @@ impl Picture {
     }
 }
 
-/// Every picture of the page, embedded once and drawn wherever it is needed.
+/// Every image of the page, embedded once and drawn wherever it is needed.
 #[derive(Debug, Default)]
 pub(crate) struct Gallery {
     pictures: BTreeMap<String, Jpeg>,
 }
 
 impl Gallery {
-    /// Takes a picture under a name (letters and digits).
+    /// Takes an image under a name (letters and digits).
     pub(crate) fn add(&mut self, name: impl Into<String>, picture: Jpeg) {
         self.pictures.insert(name.into(), picture);
     }
@@ -99,12 +99,12 @@ impl Gallery {
         Some((picture.width as f64, picture.height as f64))
     }
 
-    /// The picture as an element, its pixel centres at integer coordinates.
+    /// The image as an element, its pixel centres at integer coordinates.
     pub(crate) fn draw(&self, name: &str) -> String {
         format!("<use href=\"#{name}\"/>")
     }
 
-    /// An SVG with the picture and what `overlay` draws on it in pixel coordinates; `None` for an unknown picture.
+    /// An SVG with the image and what `overlay` draws on it in pixel coordinates; `None` for an unknown image.
     pub(crate) fn figure(&self, name: &str, label: &str, overlay: &str) -> Option<String> {
         let (w, h) = self.size(name)?;
         Some(format!(
@@ -114,7 +114,7 @@ impl Gallery {
         ))
     }
 
-    /// Where the pictures are. Nothing is seen of it.
+    /// Where the images are. Nothing is seen of it.
     pub(crate) fn embed(&self) -> String {
         let mut out = String::from(
             "<svg width=\"0\" height=\"0\" class=\"store\" aria-hidden=\"true\"><defs>\n",
@@ -132,7 +132,7 @@ impl Gallery {
     }
 }
 
-/// A cross at the middle of a picture, and the outline of the target where one is seen.
+/// A cross at the middle of an image, and the outline of the target where one is seen.
 pub(crate) fn aim(width: f64, height: f64, outline: Option<&[[f64; 2]; 4]>) -> String {
     let (cx, cy) = ((width - 1.0) / 2.0, (height - 1.0) / 2.0);
     let r = width.min(height) * 0.06;

@@ -115,7 +115,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
     if r.truth.is_some() {
         out.push_str(
             "<p>This run was simulated. What is called true on this page was known to the simulation only; the program saw \
-             pictures and stage positions, as on a real microscope.</p>\n",
+             images and stage positions, as on a real microscope.</p>\n",
         );
     }
     out.push_str("<p>This page is complete in itself: it loads nothing and sends nothing.</p>\n");

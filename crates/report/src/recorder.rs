@@ -1,4 +1,4 @@
-//! Collects a run while it happens: every event, and the few pictures that the page shows.
+//! Collects a run while it happens: every event, and the few images that the page shows.
 
 use crate::picture::{Jpeg, Picture};
 use scopeservo_scope::{Frame, ObjectiveId};
@@ -33,8 +33,8 @@ impl Recorder {
         &self.events
     }
 
-    /// Gives the picture of a target that was saved earlier: 8-bit RGB, row-major. A target saved before this recorder's
-    /// eyes comes by itself. A picture whose length does not fit its size is not taken.
+    /// Gives the image of a target that was saved earlier: 8-bit RGB, row-major. A target saved before this recorder's
+    /// eyes comes by itself. An image whose length does not fit its size is not taken.
     pub fn set_target(&mut self, width: usize, height: usize, rgb: Vec<u8>) {
         self.target = Picture::new(width, height, rgb).or(self.target.take());
     }
@@ -53,7 +53,7 @@ impl Recorder {
         self.newest.as_ref().map(|(_, p)| p)
     }
 
-    /// The sharpest picture of the newest focus sweep.
+    /// The sharpest image of the newest focus sweep.
     pub(crate) fn sharpest(&self) -> Option<&Picture> {
         self.sharpest.as_ref().map(|(_, p)| p)
     }

@@ -150,7 +150,7 @@ fn known(r: &Report<'_>) -> String {
         };
         let _ = write!(
             out,
-            "Estimated from {from} at {}, compared with the saved view: {} apart over {} agreeing places, known to ±{}; \
+            "Estimated from {from} at {}, compared with the saved view: {} apart over {} inliers, known to ±{}; \
              both added in quadrature.",
             escape(&m.objective.0),
             um(e.error.distance_um()),
@@ -248,8 +248,8 @@ fn comparison(r: &Report<'_>) -> String {
         }
         None => {
             for (name, caption) in [
-                ("sharpest", "The sharpest picture of the last focus sweep."),
-                ("newest", "The last picture of the run."),
+                ("sharpest", "The sharpest image of the last focus sweep."),
+                ("newest", "The last image of the run."),
             ] {
                 if let Some(picture) = r.gallery.figure(name, caption, "") {
                     figures.push(format!(
@@ -262,7 +262,7 @@ fn comparison(r: &Report<'_>) -> String {
     }
     figures.extend(bullseye(r));
     if figures.is_empty() {
-        return "<p class=\"none\">No picture of this run was kept.</p>\n".into();
+        return "<p class=\"none\">No image of this run was kept.</p>\n".into();
     }
     format!("<div class=\"looks\">\n{}</div>\n", figures.concat())
 }

@@ -261,7 +261,7 @@ pub(crate) struct Panel {
     pub(crate) height: f64,
     pub(crate) x: Scale,
     pub(crate) y: Scale,
-    /// Whether larger y lie lower, as in a picture.
+    /// Whether larger y lie lower, as in an image.
     pub(crate) y_down: bool,
 }
 

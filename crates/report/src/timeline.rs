@@ -288,7 +288,7 @@ impl<'a> Timeline<'a> {
         self.calibration(self.target_objective?)
     }
 
-    /// Where a view's centre lies from the target's, um along the target picture's columns and rows.
+    /// Where a view's centre lies from the target's, um along the target image's columns and rows.
     pub(crate) fn offset_um(
         &self,
         step: &Iteration<'_>,
@@ -314,7 +314,7 @@ impl<'a> Timeline<'a> {
     }
 }
 
-/// The pixel in the middle of a picture of this size.
+/// The pixel in the middle of an image of this size.
 pub(crate) fn centre(size: Vec2) -> Vec2 {
     size.map(|v| (v - 1.0) / 2.0)
 }

@@ -14,7 +14,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
     }
     let mut out = String::from(
         "<p class=\"lead\">At each magnification the stage takes away a fixed share of the measured error in every iteration. \
-         The dashed frame is the saved view as recognised in the present one; the cross is the middle of the picture.</p>\n",
+         The dashed frame is the saved view as recognised in the present one; the cross is the middle of the image.</p>\n",
     );
     for m in &r.timeline.magnifications {
         let _ = write!(

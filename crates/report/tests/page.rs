@@ -5,7 +5,7 @@ mod synthetic;
 use scopeservo_report::{Context, Recorder, Truth, html};
 use std::sync::OnceLock;
 
-/// Made once: pictures of tissue cost more than everything else here.
+/// Made once: images of tissue cost more than everything else here.
 fn arrived() -> &'static synthetic::Teller {
     static RUN: OnceLock<synthetic::Teller> = OnceLock::new();
     RUN.get_or_init(synthetic::arrived)
@@ -27,7 +27,7 @@ fn check(page: &str) {
     for outside in ["http:", "https:", "src=", "url(", "@import", "<link"] {
         assert!(!visible.contains(outside), "{outside:?} is in the page");
     }
-    // Every picture that is drawn is there, once.
+    // Every image that is drawn is there, once.
     while let Some(at) = visible.find("<use href=\"#") {
         let name: String = visible[at + 12..]
             .chars()
@@ -42,7 +42,7 @@ fn check(page: &str) {
     }
 }
 
-/// The page without its pictures' bytes.
+/// The page without its images' bytes.
 fn without_data(page: &str) -> String {
     let mut parts = page.split(";base64,");
     let mut out = parts.next().unwrap_or("").to_string();
@@ -105,7 +105,7 @@ fn an_arrival_shows_everything() {
             format!("aria-label=\"Path of the view&#39;s centre over the specimen at {objective}"),
             format!("<b>{objective} to 400x.</b>"),
             format!("aria-label=\"Sharpness against height at {objective}\""),
-            format!("Displacements of the picture in the calibration views of {objective}"),
+            format!("Displacements of the image in the calibration views of {objective}"),
         ] {
             assert!(shown.contains(&figure), "{figure}");
         }
@@ -139,7 +139,7 @@ fn a_target_that_is_not_found_is_said_and_shown() {
     check(&page);
     let shown = without_data(&page);
     assert!(shown.contains("<h1>Not found</h1>"));
-    assert!(shown.contains("6 agreeing places among 41 matches could be chance"));
+    assert!(shown.contains("6 inliers among 41 matches could be chance"));
     assert!(shown.contains("The last view, 100x at iteration 2"));
     assert!(shown.contains("there is no error to plot"));
     assert!(shown.contains("no matching places to show"));
@@ -154,7 +154,7 @@ fn without_focus_only_the_sweep_is_shown() {
     let shown = without_data(&page);
     assert!(shown.contains("<h1>Refused</h1>"));
     assert!(shown.contains("no peak in 17 frames"));
-    assert!(shown.contains("The sharpest picture of the last focus sweep."));
+    assert!(shown.contains("The sharpest image of the last focus sweep."));
     for sentence in [
         "The run ended before the stage was servoed",
         "The run did not come to a calibration.",
@@ -172,7 +172,7 @@ fn an_empty_record_is_a_page_too() {
     );
     check(&page);
     assert!(page.contains("<h1>Unfinished</h1>"));
-    assert!(page.contains("No picture of this run was kept."));
+    assert!(page.contains("No image of this run was kept."));
 }
 
 #[test]

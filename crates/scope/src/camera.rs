@@ -70,7 +70,7 @@ pub enum Samples {
     U16(Vec<u16>),
 }
 
-/// One picture. Integer pixel coordinates are pixel centres; row 0 is the top row.
+/// One image. Integer pixel coordinates are pixel centres; row 0 is the top row.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
     /// Columns.

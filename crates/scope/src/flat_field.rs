@@ -1,4 +1,4 @@
-//! The camera's fixed pattern: shadows of dust on the sensor's window, that every picture is multiplied with.
+//! The camera's fixed pattern: shadows of dust on the sensor's window, that every image is multiplied with.
 
 use crate::ScopeError;
 
@@ -8,12 +8,12 @@ const LEAST: f32 = 0.25;
 const RIM_PX: usize = 4;
 /// A shadow of fewer pixels is noise.
 const LEAST_AREA: usize = 9;
-/// A shadow is there when a picture shows at least this share of its depth.
+/// A shadow is there when an image shows at least this share of its depth.
 const THERE: f64 = 0.5;
 
 /// What share of the light each pixel of the camera gets, 1 where nothing lies on it.
 ///
-/// Dust comes and goes: each shadow is divided out only where the picture shows it.
+/// Dust comes and goes: each shadow is divided out only where the image shows it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlatField {
     width: usize,
@@ -93,7 +93,7 @@ impl FlatField {
         self.shadows.len()
     }
 
-    /// Divides the shadows that a picture shows out of it, and tells how many these are. A picture of another size is one of another
+    /// Divides the shadows that an image shows out of it, and tells how many these are. An image of another size is one of another
     /// camera, and stays as it is.
     pub fn correct(&self, width: usize, height: usize, luminance: &mut [f32]) -> usize {
         if [width, height] != [self.width, self.height] || luminance.len() != width * height {
@@ -163,7 +163,7 @@ impl FlatField {
         all.into_iter().collect()
     }
 
-    /// How deep a shadow is in a picture, as a share of how deep it was: the slope of the logarithms' regression over it and its rim.
+    /// How deep a shadow is in an image, as a share of how deep it was: the slope of the logarithms' regression over it and its rim.
     fn depth(&self, shadow: &Shadow, luminance: &[f32]) -> Option<f64> {
         let both = shadow.pixels.iter().chain(&shadow.rim).map(|&i| {
             let (t, l) = (self.transmission[i as usize], luminance[i as usize]);

@@ -8,7 +8,7 @@ use crate::{
     Workspace, Zone,
 };
 
-/// The rules as they are with the objectives that may be in the beam.
+/// The rules as they are with the objectives that may be active.
 pub(crate) struct Judge<'a> {
     pub(crate) info: &'a StageInfo,
     pub(crate) rules: &'a Rules,
@@ -130,7 +130,7 @@ impl Judge<'_> {
             && heights.is_some_and(|(from, goal)| self.info.positive_z.nearer_by(goal, from) < 0.0)
     }
 
-    /// Limits for all objectives, and those of each that may be in the beam.
+    /// Limits for all objectives, and those of each that may be active.
     fn ranges(&self) -> impl Iterator<Item = &AxisRange> {
         let own = |id| self.rules.objective_limits.get(id);
         let own = self.in_beam.iter().filter_map(own);

@@ -1,4 +1,4 @@
-//! What an instrument has learnt beside what its devices tell: whether pictures bear out which objective is in the beam, and where each
+//! What an instrument has learnt beside what its devices tell: whether images bear out which objective is active, and where each
 //! objective was last in focus.
 
 use crate::{KnownBy, Length, ObjectiveId};
@@ -13,7 +13,7 @@ pub(crate) struct Knowledge {
     focus: Mutex<BTreeMap<ObjectiveId, Length>>,
 }
 
-/// What pictures have shown of the objective that the nosepiece reports.
+/// What images have shown of the objective that the nosepiece reports.
 #[derive(Debug, Clone, Copy, Default)]
 struct Objective {
     confirmed: bool,
@@ -38,22 +38,22 @@ impl Knowledge {
             .unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether which objective is in the beam is only reported: neither sensed nor borne out by a picture.
+    /// Whether which objective is active is only reported: neither sensed nor borne out by an image.
     pub(crate) fn is_reported(&self) -> bool {
         self.known_by != KnownBy::Sensor && !self.objective().confirmed
     }
 
-    /// Whether a picture has shown that it is another one than reported.
+    /// Whether an image has shown that it is another one than reported.
     pub(crate) fn is_contradicted(&self) -> bool {
         self.objective().contradicted
     }
 
-    /// A picture has shown that the report is true.
+    /// An image has shown that the report is true.
     pub(crate) fn confirm(&self) {
         self.objective().confirmed = true;
     }
 
-    /// A picture has shown that it is not. Returns whether another change to the same objective may bring it in.
+    /// An image has shown that it is not. Returns whether another change to the same objective may bring it in.
     pub(crate) fn contradict(&self) -> bool {
         let mut objective = self.objective();
         objective.confirmed = false;

@@ -1,7 +1,7 @@
 //! The instrument contract: what a microscope must do for scopeservo to drive it.
 //!
 //! This crate holds newtypes, traits and errors, and deliberately **no pose composition**: it does not know how a
-//! stage move changes a picture. The simulated microscope and the servo each write those equations themselves, so
+//! stage move changes an image. The simulated microscope and the servo each write those equations themselves, so
 //! that they cannot share a sign error.
 //!
 //! - [`Length`], [`Angle`], [`Timestamp`]: SI inside, micrometres and degrees at the edges.

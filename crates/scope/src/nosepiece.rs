@@ -3,7 +3,7 @@
 use crate::{Motion, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 
-/// What is engraved on an objective, and what the maker's data sheet says of the picture it gives here.
+/// What is engraved on an objective, and what the maker's data sheet says of the image it gives here.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Objective {
     /// Its name.
@@ -39,7 +39,7 @@ impl Objective {
     }
 }
 
-/// How a nosepiece knows which objective is in the beam.
+/// How a nosepiece knows which objective is active.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum KnownBy {
@@ -56,7 +56,7 @@ pub enum KnownBy {
 pub trait Nosepiece: Send + Sync {
     /// The objectives it carries.
     fn objectives(&self) -> &[Objective];
-    /// The objective in the beam; `None` while turning or unknown.
+    /// The active objective; `None` while turning or unknown.
     fn current(&self) -> Result<Option<ObjectiveId>, ScopeError>;
     /// Starts to change and returns at once.
     fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError>;
@@ -64,8 +64,8 @@ pub trait Nosepiece: Send + Sync {
     fn poll(&self) -> Result<Motion, ScopeError>;
     /// Stops at once where the hardware can.
     fn stop(&self) -> Result<(), ScopeError>;
-    /// How it knows what [`Nosepiece::current`] tells. What is not sensed has to be shown by a picture before anything leans on it; the
-    /// instrument keeps what pictures have shown.
+    /// How it knows what [`Nosepiece::current`] tells. What is not sensed has to be shown by an image before anything leans on it; the
+    /// instrument keeps what images have shown.
     fn known_by(&self) -> KnownBy {
         KnownBy::Sensor
     }

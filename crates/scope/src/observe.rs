@@ -69,7 +69,7 @@ pub enum GateEvent {
     },
     /// The nosepiece ended with the objective in that was asked for.
     Changed {
-        /// The objective in the beam.
+        /// The active objective.
         to: ObjectiveId,
     },
     /// The nosepiece ended otherwise.

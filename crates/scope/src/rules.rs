@@ -80,7 +80,7 @@ pub enum ChangeRule {
 pub struct Rules {
     /// For all objectives.
     pub limits: Limits,
-    /// Further limits while an objective is in the beam, or may be.
+    /// Further limits while an objective is active, or may be.
     pub objective_limits: BTreeMap<ObjectiveId, Limits>,
     /// The longest single moves. A retreat along z alone may be longer.
     pub largest_steps: Vec<LargestStep>,

@@ -4,7 +4,7 @@ use crate::{Axis, ScopeError, StagePose};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Which side moves, and in which order the axes are stacked. This decides how a move changes the picture; the
+/// Which side moves, and in which order the axes are stacked. This decides how a move changes the image; the
 /// equations are in CONVENTIONS.md.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -57,6 +57,13 @@ const WORST_SHARE: f64 = 0.1;
 const SCATTERS: f64 = 4.0;
 
 impl AxisInfo {
+    /// Standard deviation of where an arrival ends, m or rad. Makers state an interval that holds all arrivals, without saying how they lie
+    /// in it; taken as even there, it is the half-width over the square root of 3. (A unidirectional repeatability R by ISO 230-2 is four
+    /// standard deviations wide, so that a half-width of R / 2 would be two; this is the more careful reading.)
+    pub fn standard_deviation(&self) -> f64 {
+        self.repeatability / 3f64.sqrt()
+    }
+
     /// How far from a place the axis may say that it is and still be there, m or rad: what its driver states, or four times its
     /// repeatability, at least 1 um or 0.005 deg. Goals, limits and zones are all judged by it.
     pub fn tolerance(&self) -> f64 {

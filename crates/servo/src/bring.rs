@@ -1,4 +1,4 @@
-//! An objective brought into the beam, into focus, and, where only somebody's word tells which one is there, shown by a picture to
+//! An objective brought into the beam, into focus, and, where only somebody's word tells which one is there, shown by an image to
 //! be the one.
 
 use crate::event::tell;
@@ -50,7 +50,7 @@ impl Bring {
         tell(scope, sink, Event::PhaseStarted { phase, objective });
     }
 
-    /// The end, unless a picture has to show which objective is there.
+    /// The end, unless an image has to show which objective is there.
     fn focused(
         &mut self,
         scope: &Instrument,

@@ -22,7 +22,7 @@ pub enum ServoError {
          without a peak. Move to a place with tissue, or nearer to focus, and try again"
     )]
     NoFocus {
-        /// The objective in the beam.
+        /// The active objective.
         objective: ObjectiveId,
         /// Largest over smallest sharpness of the sweep.
         contrast: f64,
@@ -37,7 +37,7 @@ pub enum ServoError {
          Give a wider range, or move nearer to focus by hand"
     )]
     FocusAtLimit {
-        /// The objective in the beam.
+        /// The active objective.
         objective: ObjectiveId,
         /// Lower end of the sweep.
         from_um: f64,
@@ -50,7 +50,7 @@ pub enum ServoError {
          because of {last}. Calibrate over a place with more tissue"
     )]
     CalibrationViews {
-        /// The objective in the beam.
+        /// The active objective.
         objective: ObjectiveId,
         /// Moves measured.
         measured: usize,
@@ -62,10 +62,10 @@ pub enum ServoError {
     /// The calibration contradicts the data sheet or the camera.
     #[error(
         "calibration of {objective} was refused: it gives {measured_um_per_px:.3} um per pixel where {nominal_um_per_px:.3} \
-         is engraved. Check which objective is in the beam and the units of the stage"
+         is engraved. Check which objective is active and the units of the stage"
     )]
     CalibrationImplausible {
-        /// The objective in the beam.
+        /// The active objective.
         objective: ObjectiveId,
         /// What was measured.
         measured_um_per_px: f64,
@@ -75,19 +75,19 @@ pub enum ServoError {
     /// What was seen does not fit what the stage says it did.
     #[error(
         "calibration of {objective} was refused: what was seen is {residual_px:.1} px off what the stage reported, and \
-         {allowed_px:.1} px would be its repeatability. Look for lost steps, play or a slipping slide"
+         {allowed_px:.1} px would be its repeatability. Look for lost steps, backlash or a slipping slide"
     )]
     CalibrationInconsistent {
-        /// The objective in the beam.
+        /// The active objective.
         objective: ObjectiveId,
         /// Root mean square residual, px.
         residual_px: f64,
         /// What would have been accepted, px.
         allowed_px: f64,
     },
-    /// Which objective is in the beam could not be seen.
+    /// Which objective is active could not be seen.
     #[error(
-        "whether {objective} is in the beam could not be seen, because of {reason}. Go to a place with tissue, in focus, and try again"
+        "whether {objective} is active could not be seen, because of {reason}. Go to a place with tissue, in focus, and try again"
     )]
     ObjectiveUnclear {
         /// The objective that is said to be there.
@@ -95,9 +95,9 @@ pub enum ServoError {
         /// Why the view was not found after a small move.
         reason: NotFound,
     },
-    /// The picture does not move with the stage.
+    /// The image does not move with the stage.
     #[error(
-        "whether {objective} is in the beam could not be seen: the stage moved by {moved_um:.1} um, and the picture stayed. Check that \
+        "whether {objective} is active could not be seen: the stage moved by {moved_um:.1} um, and the image stayed. Check that \
          the objective has clicked in and that the slide is held"
     )]
     PictureStays {
@@ -110,22 +110,22 @@ pub enum ServoError {
     #[error(
         "the stage was asked to go {asked_um:.3} um, and {}: it goes much farther than it says, so look at its unit and its steps per \
          millimetre before it moves again",
-        seen_px.map_or("the view was gone".to_owned(), |px| format!("the picture shifted by {px:.0} pixels"))
+        seen_px.map_or("the view was gone".to_owned(), |px| format!("the image shifted by {px:.0} pixels"))
     )]
     MovesTooFar {
         /// The step that was asked for.
         asked_um: f64,
-        /// How far the picture went; `None` when it was not found again.
+        /// How far the image went; `None` when it was not found again.
         seen_px: Option<f64>,
     },
-    /// Two pictures of one place have too little in common to tell whether it moves.
+    /// Two images of one place have too little in common to tell whether it moves.
     #[error(
-        "two pictures of one place have too little in common to tell whether the view moves: put in a specimen with structure, in focus"
+        "two images of one place have too little in common to tell whether the view moves: put in a specimen with structure, in focus"
     )]
     NothingToFollow,
     /// The stage scatters too much for a move that stays in the field.
     #[error(
-        "whether {objective} is in the beam could not be told: the stage arrives to within {scatter_um:.1} um, and a move of \
+        "whether {objective} is active could not be told: the stage arrives to within {scatter_um:.1} um, and a move of \
          {moved_um:.1} um is the longest that stays in the field. Look yourself, and describe one objective \
          alone if it must do without"
     )]
@@ -137,9 +137,9 @@ pub enum ServoError {
         /// Half-width of its arrivals.
         scatter_um: f64,
     },
-    /// The picture shows another objective than the one that is said to be there.
+    /// The image shows another objective than the one that is said to be there.
     #[error(
-        "{told} was asked for, but the picture has {um_per_px:.3} um per pixel, {}: nothing was done with it. Bring {told} into the \
+        "{told} was asked for, but the image has {um_per_px:.3} um per pixel, {}: nothing was done with it. Bring {told} into the \
          beam, or correct the scales of the objectives",
         looks_like.as_ref().map_or("which fits no objective".into(), |o| format!("as {o} has"))
     )]
@@ -165,13 +165,13 @@ pub enum ServoError {
         /// Needed.
         needed: usize,
     },
-    /// The stage moved, and nothing in the picture did.
+    /// The stage moved, and nothing in the image did.
     #[error(
-        "the stage moved by {moved_um:.1} um with {objective}, and nothing of the {features} features in the picture moved with it: it is stuck, or \
+        "the stage moved by {moved_um:.1} um with {objective}, and nothing of the {features} features in the image moved with it: it is stuck, or \
          all of it is on the camera (dust, a reticle, burnt-in text); nothing was saved. Go to a place with tissue, or clean the camera"
     )]
     NothingMoves {
-        /// The objective in the beam.
+        /// The active objective.
         objective: ObjectiveId,
         /// How far the stage moved.
         moved_um: f64,

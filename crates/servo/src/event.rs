@@ -15,7 +15,7 @@ pub enum Phase {
     Switch,
     /// Autofocus.
     Focus,
-    /// A look at which objective is in the beam.
+    /// A look at which objective is active.
     Identify,
     /// Calibration.
     Calibrate,
@@ -31,7 +31,7 @@ pub enum FrameRole {
     Target,
     /// A focus sweep.
     Focus,
-    /// A look at which objective is in the beam.
+    /// A look at which objective is active.
     Identify,
     /// A calibration view.
     Calibration,
@@ -69,7 +69,7 @@ pub enum Event {
         sequence: u64,
         /// What for.
         role: FrameRole,
-        /// The objective in the beam.
+        /// The active objective.
         objective: ObjectiveId,
         /// When the exposure began, seconds on the instrument's clock. Logs of earlier versions do not tell.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -91,7 +91,7 @@ pub enum Event {
     },
     /// A focus was found.
     Focused {
-        /// The objective in the beam.
+        /// The active objective.
         objective: ObjectiveId,
         /// The result.
         result: FocusResult,
@@ -112,11 +112,11 @@ pub enum Event {
         /// How many.
         shadows: usize,
     },
-    /// A picture told which objective is in the beam.
+    /// An image told which objective is active.
     Identified {
         /// The objective that is said to be there.
         objective: ObjectiveId,
-        /// What the picture tells.
+        /// What the image tells.
         identity: Identity,
     },
     /// One calibration view was registered to the reference view, or not.
@@ -125,9 +125,9 @@ pub enum Event {
         index: usize,
         /// Where the stage says it was.
         stage: StagePose,
-        /// Displacement of the picture's centre in pixels, when found.
+        /// Displacement of the image's centre in pixels, when found.
         shift_px: Option<[f64; 2]>,
-        /// Agreeing places.
+        /// Inliers.
         inliers: usize,
     },
     /// A calibration was made.
@@ -141,7 +141,7 @@ pub enum Event {
     },
     /// One iteration of the servo.
     Iteration {
-        /// The objective in the beam.
+        /// The active objective.
         objective: ObjectiveId,
         /// Counts from 0 in each magnification.
         iteration: usize,
@@ -155,20 +155,20 @@ pub enum Event {
         velocity: Velocity,
         /// Target pixel from view pixel.
         target_from_view: Affine2,
-        /// Agreeing places.
+        /// Inliers.
         inliers: usize,
         /// Matches.
         matches: usize,
         /// Standard deviation of where the view's centre lands, target pixels.
         sigma_px: f64,
-        /// Agreeing places: x, y in the view, x, y in the target.
+        /// Inliers: x, y in the view, x, y in the target.
         pairs: Vec<[f32; 4]>,
         /// Whether this error passes the convergence test.
         converged: bool,
     },
     /// A view was not found in the target.
     Lost {
-        /// The objective in the beam.
+        /// The active objective.
         objective: ObjectiveId,
         /// The iteration.
         iteration: usize,
@@ -179,7 +179,7 @@ pub enum Event {
     },
     /// The stage stepped aside, to see what moves with it.
     SteppedAside {
-        /// The objective in the beam.
+        /// The active objective.
         objective: ObjectiveId,
         /// How far it was asked to go, pixels of the view.
         step_px: f64,

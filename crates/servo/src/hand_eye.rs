@@ -4,7 +4,7 @@
 use crate::Calibration;
 use crate::kinematics::{PlanarPose, motion_between};
 use scopeservo_geometry::{Mat2, Vec2, least_squares};
-use scopeservo_scope::{Axis, Kinematics, StageInfo};
+use scopeservo_scope::{Axis, AxisInfo, Kinematics, StageInfo};
 use serde::{Deserialize, Serialize};
 
 /// One measured move from the reference view.
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 pub struct Observation {
     /// Where the stage was.
     pub pose: PlanarPose,
-    /// b of (10) about the principal points: where the picture's present centre lay in the reference picture, px from its
+    /// b of (10) about the principal points: where the image's present centre lay in the reference image, px from its
     /// centre.
     pub b_px: Vec2,
     /// Standard deviation of one coordinate of b, px.
@@ -84,10 +84,8 @@ pub(crate) fn predicted_b(
 
 /// Standard deviations of where a stage comes to stand: m, m, rad.
 pub(crate) fn pose_sigma(info: &StageInfo) -> [f64; 3] {
-    [Axis::X, Axis::Y, Axis::Rz].map(|axis| {
-        info.axis(axis)
-            .map_or(0.0, |a| a.repeatability / 3f64.sqrt())
-    })
+    [Axis::X, Axis::Y, Axis::Rz]
+        .map(|axis| info.axis(axis).map_or(0.0, AxisInfo::standard_deviation))
 }
 
 /// Standard deviation per coordinate, px, of a view's displacement from the stage's repeatability, at the view and at the

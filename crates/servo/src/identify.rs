@@ -1,4 +1,4 @@
-//! Which objective is in the beam, asked of the picture: where only somebody's word tells, a small move of the stage shows how many
+//! Which objective is active, asked of the image: where only somebody's word tells, a small move of the stage shows how many
 //! micrometres a pixel has.
 
 use crate::event::tell;
@@ -37,7 +37,7 @@ pub struct Identify {
 }
 
 impl Identify {
-    /// A check that `objective` is in the beam.
+    /// A check that `objective` is active.
     pub fn new(objective: ObjectiveId, vision: VisionOptions) -> Self {
         Self {
             objective,
@@ -47,7 +47,7 @@ impl Identify {
         }
     }
 
-    /// Moves twice by `step_m` along `along`, and sees how far the second move, which takes up no play, shifts the view:
+    /// Moves twice by `step_m` along `along`, and sees how far the second move, which takes up no backlash, shifts the view:
     /// um per pixel. A pixel of the weakest objective has `weakest_m`.
     fn look(
         &self,
@@ -157,7 +157,7 @@ impl Identify {
                 .into());
         };
         let looked = self.look(scope, sink, &home, along, (step_m, coarsest));
-        // Back, also when a place or a picture was refused; a stage that failed or was stopped stays.
+        // Back, also when a place or an image was refused; a stage that failed or was stopped stays.
         let stays = match &looked {
             Err(ServoError::Scope(error)) => error.kind() != ErrorKind::Refused,
             _ => false,

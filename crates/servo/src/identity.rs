@@ -1,9 +1,9 @@
-//! Which objective a picture shows to be in the beam.
+//! Which objective an image shows to be active.
 
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 
-/// What the picture tells.
+/// What the image tells.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Identity {
     /// Measured um per pixel.

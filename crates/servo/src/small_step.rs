@@ -1,4 +1,4 @@
-//! Small moves of the stage in the plane, to see what the picture makes of them.
+//! Small moves of the stage in the plane, to see what the image makes of them.
 
 use crate::kinematics::PlanarPose;
 use scopeservo_geometry::Vec2;

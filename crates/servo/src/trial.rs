@@ -1,6 +1,6 @@
-//! What pictures tell about a stage before anything leans on it: whether it moves as far as it says, and whether the view stands.
+//! What images tell about a stage before anything leans on it: whether it moves as far as it says, and whether the view stands.
 //!
-//! A stage whose unit is wrong by a thousand agrees with itself in all that it reports. Only a picture shows it.
+//! A stage whose unit is wrong by a thousand agrees with itself in all that it reports. Only an image shows it.
 
 use crate::kinematics::PlanarPose;
 use crate::procedure::run;
@@ -14,9 +14,9 @@ use std::time::Duration;
 /// The first step, as a share of the one that measures the scale: were it a thousand times too long, it would not be twice as long as
 /// that one.
 const FIRST_SHARE: f64 = 1.0 / 500.0;
-/// A picture that shifts by fewer pixels than this, beyond what the stage's arrivals explain, may have shaken.
+/// An image that shifts by fewer pixels than this, beyond what the stage's arrivals explain, may have shaken.
 const SHAKES_PX: f64 = 3.0;
-/// Between the two pictures of a drift.
+/// Between the two images of a drift.
 const DRIFT_TIME: Duration = Duration::from_secs(2);
 
 /// How fast the view moves while the stage stands.
@@ -28,7 +28,7 @@ pub struct Drift {
     pub sigma_px_per_s: f64,
 }
 
-/// Moves the stage a little, sees how far the picture goes, and whether that fits the objective's nominal scale. The first step is so
+/// Moves the stage a little, sees how far the image goes, and whether that fits the objective's nominal scale. The first step is so
 /// small that a unit wrong by a thousand cannot take the stage far. It comes back to where it began.
 ///
 /// # Errors
@@ -50,7 +50,7 @@ fn look(scope: &Instrument, vision: &VisionOptions) -> Result<Features, ServoErr
     vision.of_view(&gray(scope, &scope.grab()?)?)
 }
 
-/// How far the middle of the picture went from one view to another, pixels, and its standard deviation; `None` when it is not found.
+/// How far the middle of the image went from one view to another, pixels, and its standard deviation; `None` when it is not found.
 fn shift_px(before: &Features, after: &Features, vision: &VisionOptions) -> Option<(f64, f64)> {
     let found = vision
         .register(after, before, &same_objective(0.05))
@@ -81,7 +81,7 @@ fn first_step(scope: &Instrument, vision: &VisionOptions) -> Result<(), ServoErr
     };
     let (before, again) = (look(scope, vision)?, look(scope, vision)?);
     if shift_px(&before, &again, vision).is_none() {
-        // Nothing can be told from such pictures: the larger step says so, too.
+        // Nothing can be told from such images: the larger step says so, too.
         return Ok(());
     }
     scope.move_to(&request(along))?;

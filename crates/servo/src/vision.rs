@@ -52,7 +52,7 @@ impl VisionOptions {
         Ok(features)
     }
 
-    /// Registers one picture's features to another's.
+    /// Registers one image's features to another's.
     pub(crate) fn register(
         &self,
         view: &Features,
@@ -103,7 +103,7 @@ pub(crate) fn gray_of(
     Ok(to_gray(frame, luminance)?)
 }
 
-/// A picture of a frame's size.
+/// An image of a frame's size.
 pub(crate) fn to_gray(frame: &Frame, luminance: Vec<f32>) -> Result<GrayImage, FeatureError> {
     Ok(GrayImage::new(frame.width, frame.height, luminance)?)
 }

@@ -1,4 +1,4 @@
-//! A nosepiece that somebody turns, and turns wrongly: a picture shows it, and nothing leans on the wrong objective.
+//! A nosepiece that somebody turns, and turns wrongly: an image shows it, and nothing leans on the wrong objective.
 
 mod common;
 

@@ -17,7 +17,7 @@ fn by_hand() -> Config {
     one_objective().with_stage(stage)
 }
 
-/// Lines of text over much of the picture.
+/// Lines of text over much of the image.
 fn text() -> Vec<Mark> {
     let lines = ["LABORATORY 3, MICROSCOPE 2", "26 NOV 2026 10:14", "50 UM"];
     (0..)

@@ -58,7 +58,7 @@ fn with_comparisons() -> RepositionOptions {
 fn a_feature_engine_is_one_file() {
     let bench = bench(one_objective());
     let (target, truth) = bench.save();
-    // The target has features of SIFT: they are made again from its picture.
+    // The target has features of SIFT: they are made again from its image.
     bench.twin.remount(PLACE_UM, [38.0, -24.0], 1.0, false);
     let mut engines = Vec::new();
     let mut sink = Listener(|event: &Event| {

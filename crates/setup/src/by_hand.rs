@@ -27,7 +27,7 @@ fn lock(state: &Mutex<State>) -> MutexGuard<'_, State> {
 }
 
 impl ByHand {
-    /// Nobody knows yet which objective is in the beam.
+    /// Nobody knows yet which objective is active.
     pub(crate) fn new(objectives: Vec<Objective>, ask: Ask) -> Self {
         // There is nothing to ask about a single one.
         let only = (objectives.len() == 1).then(|| objectives[0].id.clone());
@@ -151,7 +151,7 @@ mod tests {
         answer.send(true).unwrap();
         assert_eq!(settle(&nosepiece), Motion::Settled);
         assert_eq!(nosepiece.current(), Ok(Some(id("40x"))));
-        // The instrument takes that for a report until a picture has shown it.
+        // The instrument takes that for a report until an image has shown it.
         assert_eq!(nosepiece.known_by(), KnownBy::Report);
         nosepiece.start_change(&id("10x")).unwrap();
         assert_eq!(nosepiece.current(), Ok(None));

@@ -186,7 +186,7 @@ impl Config {
     /// Reads a file.
     ///
     /// # Errors
-    /// [`SetupError::Read`], [`SetupError::Parse`] with line and column, [`SetupError::Sense`].
+    /// [`SetupError::Read`], [`SetupError::Parse`] with line and column, [`SetupError::Invalid`].
     pub fn read(path: &Path) -> Result<Self, SetupError> {
         let text = fs::read_to_string(path).map_err(|source| SetupError::Read {
             path: path.into(),
@@ -236,7 +236,7 @@ impl Config {
     }
 
     pub(crate) fn senseless(&self, what: impl Into<String>) -> SetupError {
-        SetupError::Sense {
+        SetupError::Invalid {
             path: self.path.clone(),
             what: what.into(),
         }

@@ -33,7 +33,7 @@ pub enum SetupError {
     },
     /// The file is readable, but does not describe an instrument.
     #[error("{path}: {what}")]
-    Sense {
+    Invalid {
         /// The file.
         path: PathBuf,
         /// What is wrong and what to do.

@@ -81,7 +81,7 @@ pub fn connect(
     for (name, driver) in &config.drivers {
         let found = find(config, driver, &clock).map_err(|error| match error {
             // It names the driver already.
-            error @ (SetupError::Driver(_) | SetupError::Sense { .. }) => error,
+            error @ (SetupError::Driver(_) | SetupError::Invalid { .. }) => error,
             error => SetupError::In {
                 driver: name.clone(),
                 source: Box::new(error),

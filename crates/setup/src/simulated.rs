@@ -37,7 +37,7 @@ pub struct TwinConfig {
     /// Whether the camera mirrors.
     #[serde(default)]
     pub mirrored: bool,
-    /// Its camera, with its noise, its dust and what it writes into the picture; the usual one without.
+    /// Its camera, with its noise, its dust and what it writes into the image; the usual one without.
     #[serde(default)]
     pub camera: CameraConfig,
     /// Whether motion takes as long as it would; otherwise a minute passes in a second.

@@ -68,7 +68,7 @@ impl GrayImage {
     /// Copies rows that lie in a larger buffer: row y is `data[y * stride..][..width]`, each value through `value`. Lengths count
     /// values, not bytes. What follows a row is not read, and nothing need follow the last one.
     ///
-    /// A window of a larger picture is its rows from the window's first value on, with the stride of the whole:
+    /// A window of a larger image is its rows from the window's first value on, with the stride of the whole:
     ///
     /// ```
     /// # use scopeservo_sift::GrayImage;
@@ -114,7 +114,7 @@ impl GrayImage {
         Self::new(width, height, pixels)
     }
 
-    /// An 8-bit picture with rows `stride` bytes apart; 255 becomes 1. As [`from_rows`](Self::from_rows) otherwise.
+    /// An 8-bit image with rows `stride` bytes apart; 255 becomes 1. As [`from_rows`](Self::from_rows) otherwise.
     ///
     /// # Errors
     /// [`SiftError::EmptyImage`], [`SiftError::Stride`], [`SiftError::DataTooShort`] and [`SiftError::TooLarge`] as

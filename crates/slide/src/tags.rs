@@ -36,7 +36,7 @@ impl Layout {
     }
 }
 
-/// The pages that are one picture at falling resolution, given (page, width, height, tiled).
+/// The pages that are one image at falling resolution, given (page, width, height, tiled).
 ///
 /// A file with tiled pages is a pyramid of those; its stripped pages are thumbnail, label and macro. A file without is
 /// its first page.

@@ -18,7 +18,7 @@ const MAX_CHUNK_BYTES: usize = 3 << 30;
 /// Pages looked at before the file is taken for something other than a pyramid.
 const MAX_PAGES: usize = 1000;
 
-/// The pages of one TIFF file that are levels of one picture, finest first.
+/// The pages of one TIFF file that are levels of one image, finest first.
 #[derive(Debug)]
 pub(crate) struct TiffPages {
     path: PathBuf,
@@ -65,7 +65,7 @@ impl TiffPages {
             if !scan.more_images() || seen.len() == MAX_PAGES {
                 break;
             }
-            // A later page of an unknown kind (a mask, a palette label) does not spoil the picture.
+            // A later page of an unknown kind (a mask, a palette label) does not spoil the image.
             if scan.next_image().is_err() {
                 break;
             }

@@ -190,7 +190,7 @@ fn pixel_size_only_where_it_can_be_a_microscope() {
     assert_eq!(stated("", None), None);
 }
 
-/// Every pixel of a region against the picture it was cut from.
+/// Every pixel of a region against the image it was cut from.
 fn check_region(slide: &Slide, (width, height): (i64, i64), x: i64, y: i64, w: u32, h: u32) {
     let got = slide.read_rgb8(0, x, y, w, h, OUTSIDE).unwrap();
     for j in 0..h {

@@ -18,8 +18,8 @@ pub enum JobError {
     /// The procedure failed, or the instrument.
     #[error(transparent)]
     Procedure(ServoError),
-    /// Nobody knows which objective is in the beam, and none was named. Nothing moved.
-    #[error("nobody knows which objective is in the beam: name one. There are {available}")]
+    /// Nobody knows which objective is active, and none was named. Nothing moved.
+    #[error("nobody knows which objective is active: name one. There are {available}")]
     NoObjective {
         /// Those there are, separated by commas.
         available: String,

@@ -143,7 +143,7 @@ impl<'a> Work<'a> {
         self.ears.target.clone()
     }
 
-    /// The objective of that name; the one that is in the beam when none is named.
+    /// The objective of that name; the one that is active when none is named.
     ///
     /// # Errors
     /// [`JobError::NoObjective`], and what the nosepiece reports.

@@ -1,4 +1,4 @@
-//! How often unrelated pictures are taken for each other: other places of one slide, other slides, mirrored copies.
+//! How often unrelated images are taken for each other: other places of one slide, other slides, mirrored copies.
 //!
 //! `cargo run --release -p scopeservo-studies --example unrelated -- [PAIRS] [CROPS_PER_SLIDE]`
 //!

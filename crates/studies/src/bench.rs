@@ -61,7 +61,7 @@ impl Bench {
         Ok(())
     }
 
-    /// Calibrates the objective in the beam.
+    /// Calibrates the active objective.
     ///
     /// # Errors
     /// Those of the calibration.

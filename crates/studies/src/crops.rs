@@ -65,7 +65,7 @@ impl Crop {
     }
 }
 
-/// The picture seen from behind.
+/// The image seen from behind.
 fn mirror(image: &GrayImage) -> Result<GrayImage, FeatureError> {
     let w = image.width();
     Ok(GrayImage::from_fn(w, image.height(), |x, y| {

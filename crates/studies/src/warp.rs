@@ -1,16 +1,16 @@
-//! Pairs of pictures with a known transform between them. Both are rendered from one large source, each sampled once.
+//! Pairs of images with a known transform between them. Both are rendered from one large source, each sampled once.
 
 use rayon::prelude::*;
 use scopeservo_geometry::{Affine2, Mat2, SplitMix64, Vec2};
 use scopeservo_registration::{Prior, ScalePrior};
 use scopeservo_sift::GrayImage;
 
-/// Size of the pictures.
+/// Size of the images.
 pub const SIZE: [usize; 2] = [640, 480];
 
 /// A rendered pair and its truth.
 pub struct Pair {
-    /// The wide picture.
+    /// The wide image.
     pub view: GrayImage,
     /// The narrow one.
     pub target: GrayImage,
@@ -63,7 +63,7 @@ impl Source {
         sum
     }
 
-    /// What pixel p of a picture sees at `source_from_pixel(p)`, integrated over the pixel's area; row-major, 0..=1 but for
+    /// What pixel p of an image sees at `source_from_pixel(p)`, integrated over the pixel's area; row-major, 0..=1 but for
     /// the overshoot of the interpolation.
     pub fn integrate(&self, source_from_pixel: &Affine2) -> Vec<f64> {
         self.integrate_sized(SIZE, source_from_pixel)
@@ -90,7 +90,7 @@ impl Source {
         data
     }
 
-    /// A picture of [`SIZE`] whose pixel p shows the source at `source_from_pixel(p)`, integrated over the pixel's area,
+    /// An image of [`SIZE`] whose pixel p shows the source at `source_from_pixel(p)`, integrated over the pixel's area,
     /// with Gaussian noise and 8-bit rounding as a camera has.
     pub fn render(&self, source_from_pixel: &Affine2, noise: f64, seed: u64) -> GrayImage {
         self.render_sized(SIZE, source_from_pixel, noise, seed)
@@ -113,7 +113,7 @@ impl Source {
                 *value = ((noisy * 255.0).round() / 255.0) as f32;
             }
         });
-        GrayImage::new(w, h, data).expect("a rendered picture is finite and not empty")
+        GrayImage::new(w, h, data).expect("a rendered image is finite and not empty")
     }
 }
 
@@ -170,7 +170,7 @@ pub fn random_pair(
     })
 }
 
-/// A picture whose centre shows `centre`, turned by the angle, with pixels of `pitch` source pixels.
+/// An image whose centre shows `centre`, turned by the angle, with pixels of `pitch` source pixels.
 pub(crate) fn about(centre: Vec2, angle_rad: f64, pitch: f64) -> Affine2 {
     let linear = Mat2::rotation(angle_rad) * pitch;
     let middle = [(SIZE[0] as f64 - 1.0) / 2.0, (SIZE[1] as f64 - 1.0) / 2.0];

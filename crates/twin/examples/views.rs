@@ -1,4 +1,4 @@
-//! Pictures of a simulated run, for looking at: three objectives, five defoci, events.
+//! Images of a simulated run, for looking at: three objectives, five defoci, events.
 //!
 //! ```text
 //! cargo run --release -p scopeservo-twin --example views -- FOLDER [SLIDE [UM_PER_PX]]
@@ -13,7 +13,7 @@ use std::time::Duration;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
-    let folder = PathBuf::from(args.next().ok_or("give a folder for the pictures")?);
+    let folder = PathBuf::from(args.next().ok_or("give a folder for the images")?);
     std::fs::create_dir_all(&folder)?;
     let specimen: Arc<dyn Specimen> = match args.next() {
         Some(path) => {

@@ -39,9 +39,9 @@ pub struct CameraConfig {
     pub read_noise_e: f64,
     /// Dust on the sensor's window, kind by kind.
     pub dust: Vec<DustConfig>,
-    /// What else the camera shows in every picture: text, a reticle.
+    /// What else the camera shows in every image: text, a reticle.
     pub marks: Vec<Mark>,
-    /// What each pixel adds to every picture.
+    /// What each pixel adds to every image.
     pub pattern: PatternConfig,
     /// Pixels that are always dark or always bright in one channel.
     pub dead_pixels: usize,
@@ -66,8 +66,8 @@ pub struct DustConfig {
     pub rings: f64,
 }
 
-/// Something that the camera draws into every picture at one place. Places are that of the upper left corner or of the
-/// centre, px; what lies outside the picture is cut off.
+/// Something that the camera draws into every image at one place. Places are that of the upper left corner or of the
+/// centre, px; what lies outside the image is cut off.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Mark {
@@ -100,7 +100,7 @@ pub enum Mark {
         #[serde(default)]
         packed: bool,
     },
-    /// A cross hair with ticks and circles in the eyepiece's plane: it takes light, and is as noisy as the picture.
+    /// A cross hair with ticks and circles in the eyepiece's plane: it takes light, and is as noisy as the image.
     Reticle {
         /// Its centre.
         centre_px: [f64; 2],

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// The objectives, in the order of the nosepiece. The first is in the beam at the start.
+    /// The objectives, in the order of the nosepiece. The first is active at the start.
     pub optics: Vec<ObjectiveConfig>,
     /// How the camera is mounted.
     pub mount: MountConfig,
@@ -37,7 +37,7 @@ pub struct ObjectiveConfig {
     pub numerical_aperture: f64,
     /// What the data sheet says of one pixel on the specimen, um.
     pub nominal_um_per_px: f64,
-    /// True horizontal scale, px per metre; negative inverts the picture.
+    /// True horizontal scale, px per metre; negative inverts the image.
     pub kx_px_per_m: f64,
     /// True vertical scale, px per metre.
     pub ky_px_per_m: f64,
@@ -70,7 +70,7 @@ pub struct MountConfig {
     pub phi_deg: f64,
     /// Place eta of the camera in the end-effector frame, mm.
     pub eta_mm: [f64; 2],
-    /// A mirror in the beam: columns run the other way. Does not fit the paper's model.
+    /// A mirror active: columns run the other way. Does not fit the paper's model.
     pub mirrored: bool,
     /// Shear of the columns along the rows, px per px. Does not fit the paper's model either.
     pub skew: f64,

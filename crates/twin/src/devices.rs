@@ -132,7 +132,7 @@ impl TwinCamera {
         }
     }
 
-    /// The views of one exposure: what to blend, and how far the picture moves between two of them.
+    /// The views of one exposure: what to blend, and how far the image moves between two of them.
     fn views(&self, state: &State, start: f64, exposure: f64) -> (Vec<View>, f64) {
         let camera = &self.0.config.camera;
         let at = |share: f64| self.0.view(state, start + share * exposure);

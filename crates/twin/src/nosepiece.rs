@@ -68,7 +68,7 @@ impl NosepieceState {
         &self.changes[self.changes.len() - 1]
     }
 
-    /// The objective in the beam, or the one that comes next, its scatter, and whether light passes.
+    /// The active objective, or the one that comes next, its scatter, and whether light passes.
     pub(crate) fn at(&self, t: f64) -> (usize, Offset, bool) {
         let change = self
             .changes

@@ -25,7 +25,7 @@ const WAVELENGTH_UM: f64 = 0.55;
 pub(crate) struct View {
     /// Specimen coordinates (um) of a pixel.
     pub(crate) specimen_from_pixel: Affine,
-    /// Defocus at the middle of the picture, um; positive: too close.
+    /// Defocus at the middle of the image, um; positive: too close.
     pub(crate) defocus_um: f64,
     /// Change of defocus per pixel to the right and down, um.
     pub(crate) slope_um: [f64; 2],
@@ -43,7 +43,7 @@ impl View {
     }
 }
 
-/// The middle of a picture, for each picture its own.
+/// The middle of an image, for each image its own.
 pub(crate) fn principal_point(width: usize, height: usize) -> [f64; 2] {
     [0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0)]
 }
@@ -163,7 +163,7 @@ pub(crate) fn blur_um(numerical_aperture: f64, defocus_um: f64) -> f64 {
     (airy * airy + cone * cone * dz_sq * onset).sqrt()
 }
 
-/// The point spread in one channel at a defocus of the picture, with longitudinal chromatic aberration.
+/// The point spread in one channel at a defocus of the image, with longitudinal chromatic aberration.
 pub(crate) fn channel_blur_um(optics: &ObjectiveConfig, defocus_um: f64, channel: usize) -> f64 {
     let shift = optics.chromatic_dof[channel] * depth_of_field_um(optics.numerical_aperture);
     blur_um(optics.numerical_aperture, defocus_um - shift)

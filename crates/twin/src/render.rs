@@ -12,9 +12,9 @@ use rayon::prelude::*;
 const FINE_ENOUGH: f64 = 4.0;
 /// No grid is coarser: its samples are averages of the specimen over tiles that would reach far beyond the view, um.
 const COARSEST_UM: f64 = 10.0;
-/// No blur is wider than this share of the picture: beyond it every picture is grey.
+/// No blur is wider than this share of the image: beyond it every image is grey.
 const WIDEST: f64 = 0.25;
-/// No more than this share of the picture is rendered around it.
+/// No more than this share of the image is rendered around it.
 const BORDER: f64 = 0.3;
 
 /// What stays the same during one exposure.
@@ -30,7 +30,7 @@ pub(crate) struct Scene<'a> {
 pub(crate) type Planes = [Vec<f32>; 3];
 
 /// How many instants of an exposure are looked at, from the view at its start, middle and end: one for a resting
-/// stage, five for a fast one. Also how far the picture moves between two of them, px.
+/// stage, five for a fast one. Also how far the image moves between two of them, px.
 pub(crate) fn instants(views: &[View; 3], width: usize, height: usize) -> (usize, f64) {
     let corners = [
         [0.0, 0.0],
@@ -119,7 +119,7 @@ pub(crate) fn render(scene: &Scene, view: &View, smear_px: f64) -> Result<Planes
         let planes = blurred(dz);
         return Ok(planes.map(|p| grid.to_pixels(&p)));
     }
-    // A tilted specimen: between two slices of focus, mix their pictures.
+    // A tilted specimen: between two slices of focus, mix their images.
     let mut out: Planes = std::array::from_fn(|_| vec![0.0; w * h]);
     let gap = slices[1] - slices[0];
     let p0 = crate::optics::principal_point(w, h);
@@ -136,7 +136,7 @@ pub(crate) fn render(scene: &Scene, view: &View, smear_px: f64) -> Result<Planes
     Ok(out)
 }
 
-/// The defoci at which the picture is computed: one for a level specimen, up to five across a tilted one.
+/// The defoci at which the image is computed: one for a level specimen, up to five across a tilted one.
 fn focal_slices(scene: &Scene, view: &View) -> Vec<f64> {
     let reach = 0.5
         * (view.slope_um[0].abs() * scene.width as f64
@@ -151,7 +151,7 @@ fn focal_slices(scene: &Scene, view: &View) -> Vec<f64> {
         .collect()
 }
 
-/// A grid of samples, `step` pixels apart, around the picture. Sample i lies at pixel `(i - margin + 0.5) step - 0.5`.
+/// A grid of samples, `step` pixels apart, around the image. Sample i lies at pixel `(i - margin + 0.5) step - 0.5`.
 struct Grid {
     step: usize,
     margin: usize,
@@ -341,7 +341,7 @@ fn average_row(
     }
 }
 
-/// One Catmull-Rom tap per grid cell, for specimens coarser than the picture.
+/// One Catmull-Rom tap per grid cell, for specimens coarser than the image.
 fn cubic_row(patch: &Patch, patch_from_grid: &Affine, y: f64, [red, green, blue]: [&mut [f32]; 3]) {
     let last = [(patch.width - 3) as f64, (patch.height - 3) as f64].map(|v| v + 0.999);
     let stride = 3 * patch.width;

@@ -140,7 +140,7 @@ impl StageConfig {
         }
     }
 
-    /// The same stage without scatter, play, encoder error, shaking and drift.
+    /// The same stage without scatter, backlash, encoder error, shaking and drift.
     #[must_use]
     pub fn exact(mut self) -> Self {
         for axis in &mut self.axes {
@@ -193,7 +193,7 @@ impl StageConfig {
                     axis: a.axis,
                     min: a.travel[0] * coarse_si(a.axis),
                     max: a.travel[1] * coarse_si(a.axis),
-                    // What a data sheet calls repeatability holds the play and the encoder, too.
+                    // What a data sheet calls repeatability holds the backlash and the encoder, too.
                     repeatability: (a.repeatability + 0.5 * a.backlash + a.encoder_error) * 1e-6,
                     arrival_tolerance: None,
                 })

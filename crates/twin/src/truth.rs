@@ -11,20 +11,20 @@ use serde::{Deserialize, Serialize};
 pub struct Truth {
     /// The frame that this belongs to; `None` for a moment without a frame.
     pub sequence: Option<u64>,
-    /// The objective in the beam, or the next one while the nosepiece turns.
+    /// The active objective, or the next one while the nosepiece turns.
     pub objective: String,
     /// The stage's true pose, not the reported one.
     pub stage: StagePose,
     /// Specimen coordinates (um) of a pixel (x, y): row i gives `m[i][0] x + m[i][1] y + m[i][2]`. Integer pixel
     /// coordinates are pixel centres.
     pub specimen_from_pixel: [[f64; 3]; 2],
-    /// The specimen point under the middle of the picture, um.
+    /// The specimen point under the middle of the image, um.
     pub centre_um: [f64; 2],
-    /// Direction of the picture's rightward axis on the specimen, degrees from +x towards +y, in (-180, 180].
+    /// Direction of the image's rightward axis on the specimen, degrees from +x towards +y, in (-180, 180].
     pub angle_deg: f64,
     /// Size of a pixel on the specimen: the square root of its area, um.
     pub um_per_px: f64,
-    /// Defocus in the middle of the picture, um. Positive: objective and specimen are too close.
+    /// Defocus in the middle of the image, um. Positive: objective and specimen are too close.
     pub defocus_um: f64,
 }
 
@@ -64,7 +64,7 @@ impl Truth {
 /// The true calibration of one objective, in the paper's letters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TrueCalibration {
-    /// Horizontal scale, px per metre; of the other sign when the picture is mirrored.
+    /// Horizontal scale, px per metre; of the other sign when the image is mirrored.
     pub kx: f64,
     /// Vertical scale, px per metre.
     pub ky: f64,

@@ -1,4 +1,4 @@
-//! Every modelled term, seen in the pictures.
+//! Every modelled term, seen in the images.
 
 mod common;
 
@@ -87,7 +87,7 @@ fn a_sharp_edge_has_the_width_of_the_aperture() {
         .unwrap()
         .specimen_from_pixel;
     let grey = frame.luminance();
-    // Specimen x runs along the rows of the picture: read the middle column.
+    // Specimen x runs along the rows of the image: read the middle column.
     let column: Vec<f64> = (0..frame.height)
         .map(|y| f64::from(grey[y * 640 + 320]))
         .collect();
@@ -112,7 +112,7 @@ fn tilting_the_stage_blurs_one_side() {
     bench.focus(0.0);
     let frame = bench.grab();
     let grey = frame.luminance();
-    // The picture's columns run along specimen y, which rotation about x lifts.
+    // The image's columns run along specimen y, which rotation about x lifts.
     let strip = |x0: usize| {
         (0..480)
             .flat_map(|y| (x0..x0 + 60).map(move |x| y * 640 + x))

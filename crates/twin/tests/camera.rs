@@ -33,7 +33,7 @@ fn x(um: f64) -> StagePose {
 
 #[test]
 fn dust_stays_where_it_is_while_the_specimen_moves() {
-    // The picture without dust, of the same places, tells what the dust took.
+    // The image without dust, of the same places, tells what the dust took.
     let bench = |specks: usize| {
         let config = camera(|c| c.camera.dust = vec![dust(specks)]);
         let bench = Bench::new(config, waves());

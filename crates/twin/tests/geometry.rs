@@ -1,4 +1,4 @@
-//! Where the picture shows a thing, against the truth and against formulas written down again here.
+//! Where the image shows a thing, against the truth and against formulas written down again here.
 
 mod common;
 
@@ -163,7 +163,7 @@ fn a_mirror_turns_the_handedness_round() {
             .specimen_from_pixel;
         m[0][0] * m[1][1] - m[0][1] * m[1][0]
     };
-    // Rows run downwards and the specimen's y upwards: an honest picture has a negative determinant.
+    // Rows run downwards and the specimen's y upwards: an honest image has a negative determinant.
     assert!(determinant(&config) < 0.0);
     config.mount.mirrored = true;
     assert!(determinant(&config) > 0.0);

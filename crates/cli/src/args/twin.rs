@@ -1,4 +1,4 @@
-//! The simulated microscope, and two pictures without any.
+//! The simulated microscope, and two images without any.
 
 use super::common::AnswerArgs;
 use clap::{Args, Subcommand, ValueEnum};
@@ -168,7 +168,7 @@ pub(crate) struct RegisterArgs {
     /// are decoded and the target's features made once, before.
     #[arg(long, value_name = "N")]
     pub(crate) time: Option<usize>,
-    /// Both show the same place: believe what stays where it is in the picture, though dust on the camera does that too.
+    /// Both show the same place: believe what stays where it is in the image, though dust on the camera does that too.
     #[arg(long)]
     pub(crate) same_place: bool,
     /// Accept a view that is a mirror image.

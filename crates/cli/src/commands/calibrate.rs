@@ -3,9 +3,9 @@
 use super::library_of;
 use crate::answer::Answer;
 use crate::args::CalibrateArgs;
-use crate::desk::Desk;
 use crate::error::CliError;
 use crate::journal::{Asked, Made};
+use crate::open_instrument::OpenInstrument;
 use crate::output::calibration as calibration_json;
 use crate::progress::Watcher;
 use scopeservo_library::Calibrations as _;
@@ -19,17 +19,17 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
     let focus = args.focusing.options()?;
     // Before anything moves, and before it is opened.
     library_of(&args.instrument.description)?.try_calibrations(&[])?;
-    let desk = Desk::open(&args.instrument, answer)?;
-    desk.check_nothing_waits()?;
+    let opened = OpenInstrument::open(&args.instrument, answer)?;
+    opened.check_nothing_waits()?;
     let named = args.objective.iter().cloned().map(ObjectiveId);
     let objectives: Vec<ObjectiveId> = named.collect();
     let wanted = |o: &&Objective| objectives.is_empty() || objectives.contains(&o.id);
-    let all = desk.scope.gate().objectives().iter();
+    let all = opened.scope.gate().objectives().iter();
     let wanted: Vec<Objective> = all.filter(wanted).cloned().collect();
     for named in &objectives {
-        desk.scope.objective(named)?;
+        opened.scope.objective(named)?;
     }
-    desk.library.try_calibrations(&wanted)?;
+    opened.library.try_calibrations(&wanted)?;
     let input = CalibrateInput {
         objectives,
         focus: (!args.no_focus).then_some(focus),
@@ -39,32 +39,32 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
         inputs: json!(input),
         ..Asked::default()
     };
-    run(&desk, CalibrateJob::new(input), asked, answer)
+    run(&opened, CalibrateJob::new(input), asked, answer)
 }
 
 /// Runs the job, from its beginning or from where it was.
 pub(super) fn run(
-    desk: &Desk,
+    opened: &OpenInstrument,
     job: CalibrateJob,
     asked: Asked,
     answer: &Answer,
 ) -> Result<bool, CliError> {
     answer.put(json!({"calibrations": []}));
-    let ran = desk.run(job, asked, &mut Watcher::new(None), answer)?;
+    let ran = opened.run(job, asked, &mut Watcher::new(None), answer)?;
     match &ran.output {
-        Ok(output) => show_made(answer, &all_made(desk, output, &ran.made)),
+        Ok(output) => show_made(answer, &all_made(opened, output, &ran.made)),
         Err(_) => show_made(answer, &ran.made),
     }
     ran.end(None, answer).map(|_| true)
 }
 
 /// What the job made, those included that a program made and kept before it was killed.
-fn all_made(desk: &Desk, output: &CalibrateOutput, now: &[Made]) -> Vec<Made> {
+fn all_made(opened: &OpenInstrument, output: &CalibrateOutput, now: &[Made]) -> Vec<Made> {
     let all = output.made.iter().map(|calibration| {
         let made_now = now.iter().find(|made| made.calibration == *calibration);
         made_now.cloned().unwrap_or_else(|| {
             let objective = &calibration.calibration.objective;
-            let file = desk.library.calibration_path(objective);
+            let file = opened.library.calibration_path(objective);
             Made {
                 calibration: calibration.clone(),
                 file: file.ok().flatten(),
@@ -124,7 +124,7 @@ fn show_calibration(answer: &Answer, calibration: &Calibration, residual_px: Opt
             r.phi_rad.to_degrees()
         );
     } else {
-        say!(answer, "  the picture is mirrored against the stage");
+        say!(answer, "  the image is mirrored against the stage");
     }
     match calibration.rotation_centre_m {
         Some(eta) => say!(

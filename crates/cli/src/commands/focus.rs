@@ -2,9 +2,9 @@
 
 use crate::answer::Answer;
 use crate::args::FocusArgs;
-use crate::desk::Desk;
 use crate::error::CliError;
 use crate::journal::Asked;
+use crate::open_instrument::OpenInstrument;
 use crate::progress::Watcher;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::VisionOptions;
@@ -16,8 +16,8 @@ pub(crate) fn focus(args: &FocusArgs, answer: &Answer) -> Result<bool, CliError>
     if args.near_z_um.is_some_and(|z| !z.is_finite()) {
         return Err(CliError::Usage("--near-z-um must be a number".into()));
     }
-    let desk = Desk::open(&args.instrument, answer)?;
-    desk.check_nothing_waits()?;
+    let opened = OpenInstrument::open(&args.instrument, answer)?;
+    opened.check_nothing_waits()?;
     let input = FocusInput {
         objective: args.objective.clone().map(ObjectiveId),
         near_z_um: args.near_z_um,
@@ -28,17 +28,17 @@ pub(crate) fn focus(args: &FocusArgs, answer: &Answer) -> Result<bool, CliError>
         inputs: json!(input),
         ..Asked::default()
     };
-    run(&desk, FocusJob::new(input), asked, answer)
+    run(&opened, FocusJob::new(input), asked, answer)
 }
 
 /// Runs the job, from its beginning or from where it was.
 pub(super) fn run(
-    desk: &Desk,
+    opened: &OpenInstrument,
     job: FocusJob,
     asked: Asked,
     answer: &Answer,
 ) -> Result<bool, CliError> {
-    let ran = desk.run(job, asked, &mut Watcher::new(None), answer)?;
+    let ran = opened.run(job, asked, &mut Watcher::new(None), answer)?;
     if let Ok(output) = &ran.output {
         show(answer, output);
     }
@@ -57,7 +57,7 @@ fn show(answer: &Answer, FocusOutput { objective, result }: &FocusOutput) {
     match result.z_um {
         Some(z) => say!(
             answer,
-            "{objective} is in focus at z = {z:.2} um (sharpness {:.4}, {:.1} times the least seen, {} pictures)",
+            "{objective} is in focus at z = {z:.2} um (sharpness {:.4}, {:.1} times the least seen, {} images)",
             result.sharpness,
             result.contrast,
             result.samples

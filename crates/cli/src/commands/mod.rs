@@ -14,8 +14,8 @@ pub(crate) use save_target::save_target;
 
 use crate::answer::Answer;
 use crate::args::ConfigArgs;
-use crate::desk::Desk;
 use crate::error::CliError;
+use crate::open_instrument::OpenInstrument;
 use scopeservo_library::{Calibrations as _, Folder};
 use scopeservo_servo::Calibration;
 use scopeservo_setup::Config;
@@ -27,13 +27,13 @@ pub(crate) fn library_of(description: &ConfigArgs) -> Result<Folder, CliError> {
 }
 
 /// The calibrations that this instrument and camera made. One that is damaged is measured again on the way.
-fn known_calibrations(desk: &Desk, answer: &Answer) -> Vec<Calibration> {
-    let info = desk.scope.camera().info();
+fn known_calibrations(opened: &OpenInstrument, answer: &Answer) -> Vec<Calibration> {
+    let info = opened.scope.camera().info();
     let size_px = [info.width, info.height];
-    let objectives = desk.scope.gate().objectives().iter();
-    let kept = objectives.filter_map(|o| answer.or_warn(desk.library.calibration(o)).flatten());
+    let objectives = opened.scope.gate().objectives().iter();
+    let kept = objectives.filter_map(|o| answer.or_warn(opened.library.calibration(o)).flatten());
     // Of another instrument or camera, or another mode of it, it is of no use.
-    kept.filter(|k| k.calibration.image_size_px == size_px && k.instrument == desk.config.name)
+    kept.filter(|k| k.calibration.image_size_px == size_px && k.instrument == opened.config.name)
         .map(|k| k.calibration)
         .collect()
 }

@@ -4,9 +4,9 @@ use super::known_calibrations;
 use crate::answer::Answer;
 use crate::args::RepositionArgs;
 use crate::demo::check_servo;
-use crate::desk::{Desk, Ran};
 use crate::error::{CliError, Code};
 use crate::journal::Asked;
+use crate::open_instrument::{OpenInstrument, Ran};
 use crate::output;
 use crate::progress::Watcher;
 use crate::views::{keep_report, try_out};
@@ -31,8 +31,8 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
         false => Some(foreign_scale(&args.name, &kept, &config, answer)?),
     };
     try_out(&args.report.out)?;
-    let desk = Desk::open(&args.instrument, answer)?;
-    desk.check_nothing_waits()?;
+    let opened = OpenInstrument::open(&args.instrument, answer)?;
+    opened.check_nothing_waits()?;
     let servo = ServoOptions {
         lambda: args.lambda,
         max_iterations: args.max_iterations,
@@ -48,7 +48,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
         foreign_um_per_px,
         known: match args.calibrate {
             true => Vec::new(),
-            false => known_calibrations(&desk, answer),
+            false => known_calibrations(&opened, answer),
         },
     };
     let asked = Asked {
@@ -57,12 +57,12 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
         ..Asked::default()
     };
     let job = RepositionJob::new(kept.target, input);
-    run(&desk, &args.name, job, asked, &args.report.out, answer)
+    run(&opened, &args.name, job, asked, &args.report.out, answer)
 }
 
 /// Runs the job, from its beginning or from where it was.
 pub(super) fn run(
-    desk: &Desk,
+    opened: &OpenInstrument,
     name: &str,
     job: RepositionJob,
     asked: Asked,
@@ -73,18 +73,32 @@ pub(super) fn run(
     let options: ServoOptions =
         serde_json::from_value(asked.inputs["options"]["servo"].clone()).unwrap_or_default();
     let mut watcher = Watcher::new(None);
-    if let Some(picture) = desk.library.target_picture(name) {
+    if let Some(picture) = opened.library.target_picture(name) {
         watcher.frame(&picture, FrameRole::Target);
     }
-    let ran = desk.run(job, asked, &mut watcher, answer)?;
+    let ran = opened.run(job, asked, &mut watcher, answer)?;
     let seconds = started.elapsed().as_secs_f64();
     if let Ok(output) = &ran.output {
-        show(desk, name, output, seconds, answer);
+        show(opened, name, output, seconds, answer);
     }
-    keep(desk, name, ran, &watcher, (&options, seconds), out, answer)
+    keep(
+        opened,
+        name,
+        ran,
+        &watcher,
+        (&options, seconds),
+        out,
+        answer,
+    )
 }
 
-fn show(desk: &Desk, name: &str, output: &RepositionOutput, seconds: f64, answer: &Answer) {
+fn show(
+    opened: &OpenInstrument,
+    name: &str,
+    output: &RepositionOutput,
+    seconds: f64,
+    answer: &Answer,
+) {
     let RepositionOutput {
         outcome, counters, ..
     } = output;
@@ -104,11 +118,11 @@ fn show(desk: &Desk, name: &str, output: &RepositionOutput, seconds: f64, answer
     }));
     show_outcome(answer, outcome);
     // The verdict stands, whether or not the stage still answers.
-    let z = desk.scope.gate().position().ok();
+    let z = opened.scope.gate().position().ok();
     let z = z.and_then(|at| at.si(Axis::Z));
     say!(
         answer,
-        "  {} moves, {} pictures, {seconds:.1} s{}",
+        "  {} moves, {} images, {seconds:.1} s{}",
         counters.moves,
         counters.frames,
         z.map_or(String::new(), |z| format!(", z = {:.1} um", z * 1e6))
@@ -117,7 +131,7 @@ fn show(desk: &Desk, name: &str, output: &RepositionOutput, seconds: f64, answer
 
 /// The report, in the folder of the run and as the last one's copy.
 fn keep(
-    desk: &Desk,
+    opened: &OpenInstrument,
     name: &str,
     ran: Ran<RepositionOutput>,
     watcher: &Watcher,
@@ -130,7 +144,7 @@ fn keep(
     }
     let context = report::Context {
         title: format!("Back to {name}"),
-        instrument: desk.config.name.clone(),
+        instrument: opened.config.name.clone(),
         command: output::command_line(),
         version: env!("CARGO_PKG_VERSION").into(),
         wall_time_s: Some(seconds),
@@ -155,7 +169,7 @@ fn foreign_scale(
 ) -> Result<f64, CliError> {
     let Some(taken) = &kept.target.taken else {
         return Err(CliError::Usage(format!(
-            "the target '{name}' was saved on '{}', and this is '{}': its picture has another scale and other axes, and an earlier version \
+            "the target '{name}' was saved on '{}', and this is '{}': its image has another scale and other axes, and an earlier version \
              did not keep which. Save it anew here",
             kept.instrument, config.name
         )));

@@ -4,9 +4,9 @@ use super::{calibrate, focus, reposition, save_target};
 use crate::answer::Answer;
 use crate::args::{AbandonArgs, ResumeArgs};
 use crate::commands::library_of;
-use crate::desk::Desk;
 use crate::error::CliError;
 use crate::journal::{self, Asked};
+use crate::open_instrument::OpenInstrument;
 use crate::views::try_out;
 use scopeservo_library::{Journal as _, Targets as _};
 use scopeservo_setup::{Config, Held};
@@ -22,20 +22,20 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
         ));
     }
     try_out(&args.report.out)?;
-    let desk = Desk::open(&args.instrument, answer)?;
-    let Some(left) = desk.left()? else {
+    let opened = OpenInstrument::open(&args.instrument, answer)?;
+    let Some(left) = opened.left()? else {
         return Err(CliError::Usage("another program went on with it".into()));
     };
     let cannot = |why: String| {
         CliError::CannotResume(format!("{} cannot go on: {why}", journal::what(&left)))
     };
-    if let Some(why) = journal::contradiction(&left, &desk.scope) {
+    if let Some(why) = journal::contradiction(&left, &opened.scope) {
         return Err(cannot(why));
     }
     say!(
         answer,
         "going on: {}",
-        journal::standing(&left, &desk.scope)
+        journal::standing(&left, &opened.scope)
     );
     let asked = Asked {
         inputs: left.head.inputs.clone(),
@@ -59,14 +59,14 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
         job = job.with_target(kept.target);
     }
     match job {
-        AnyJob::Focus(job) => focus::run(&desk, *job, asked, answer),
-        AnyJob::Calibrate(job) => calibrate::run(&desk, *job, asked, answer),
+        AnyJob::Focus(job) => focus::run(&opened, *job, asked, answer),
+        AnyJob::Calibrate(job) => calibrate::run(&opened, *job, asked, answer),
         AnyJob::SaveTarget(_) if library.target_path(name).is_ok() => {
-            save_target::was_kept(&desk, name, answer)
+            save_target::was_kept(&opened, name, answer)
         }
-        AnyJob::SaveTarget(job) => save_target::run(&desk, name, *job, asked, answer),
+        AnyJob::SaveTarget(job) => save_target::run(&opened, name, *job, asked, answer),
         AnyJob::Reposition(job) => {
-            reposition::run(&desk, name, *job, asked, &args.report.out, answer)
+            reposition::run(&opened, name, *job, asked, &args.report.out, answer)
         }
         AnyJob::Identify(_) | AnyJob::Doctor(_) => {
             Err(cannot("no command of this program does that".into()))

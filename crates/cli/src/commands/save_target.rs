@@ -3,9 +3,9 @@
 use super::{known_calibrations, library_of};
 use crate::answer::Answer;
 use crate::args::TargetSaveArgs;
-use crate::desk::Desk;
 use crate::error::{CliError, Code};
 use crate::journal::Asked;
+use crate::open_instrument::OpenInstrument;
 use crate::progress::Watcher;
 use scopeservo_library::Targets as _;
 use scopeservo_scope::ObjectiveId;
@@ -16,40 +16,46 @@ use serde_json::json;
 pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool, CliError> {
     let focusing = args.focusing.options()?;
     library_of(&args.instrument.description)?.check_new_target(&args.name)?;
-    let desk = Desk::open(&args.instrument, answer)?;
-    desk.check_nothing_waits()?;
+    let opened = OpenInstrument::open(&args.instrument, answer)?;
+    opened.check_nothing_waits()?;
     let input = SaveTargetInput {
         objective: args.objective.clone().map(ObjectiveId),
         focus: args.focus.then(|| focusing.clone()),
         focusing,
-        still: args.still || desk.config.target.still,
-        known: known_calibrations(&desk, answer),
+        still: args.still || opened.config.target.still,
+        known: known_calibrations(&opened, answer),
         vision: VisionOptions::default(),
     };
     let asked = Asked {
         inputs: json!({"name": args.name, "input": input}),
         ..Asked::default()
     };
-    run(&desk, &args.name, SaveTargetJob::new(input), asked, answer)
+    run(
+        &opened,
+        &args.name,
+        SaveTargetJob::new(input),
+        asked,
+        answer,
+    )
 }
 
 /// Runs the job, from its beginning or from where it was.
 pub(super) fn run(
-    desk: &Desk,
+    opened: &OpenInstrument,
     name: &str,
     job: SaveTargetJob,
     asked: Asked,
     answer: &Answer,
 ) -> Result<bool, CliError> {
-    let before = desk.scope.flat_field();
+    let before = opened.scope.flat_field();
     let mut watcher = Watcher::new(None);
-    let ran = desk.run(job, asked, &mut watcher, answer)?;
+    let ran = opened.run(job, asked, &mut watcher, answer)?;
     warn_of_blur(&watcher, answer);
     let kept = match &ran.output {
-        Ok(output) => keep(desk, name, output, answer),
+        Ok(output) => keep(opened, name, output, answer),
         Err(_) => Ok(()),
     };
-    let seen = desk.scope.flat_field();
+    let seen = opened.scope.flat_field();
     if let Some(shadows) = seen.filter(|now| Some(now) != before.as_ref()) {
         say!(
             answer,
@@ -86,28 +92,32 @@ fn warn_of_blur(watcher: &Watcher, answer: &Answer) {
 }
 
 /// The program was killed after the target was kept, and before it said so.
-pub(super) fn was_kept(desk: &Desk, name: &str, answer: &Answer) -> Result<bool, CliError> {
-    let target = desk.library.target(name)?.target;
-    tell(name, &target, desk, answer);
-    let file = desk.library.target_path(name)?;
+pub(super) fn was_kept(
+    opened: &OpenInstrument,
+    name: &str,
+    answer: &Answer,
+) -> Result<bool, CliError> {
+    let target = opened.library.target(name)?.target;
+    tell(name, &target, opened, answer);
+    let file = opened.library.target_path(name)?;
     answer.put(json!({"file": file.to_string_lossy()}));
     say!(answer, "'{name}' was saved before the program ended");
-    desk.end_left()?;
+    opened.end_left()?;
     Ok(true)
 }
 
-fn tell(name: &str, target: &Target, desk: &Desk, answer: &Answer) {
+fn tell(name: &str, target: &Target, opened: &OpenInstrument, answer: &Answer) {
     answer.put(json!({
         "name": name,
         "objective": target.objective,
         "features": target.features.len(),
         "moved_features": target.moved,
-        "shadows": desk.scope.flat_field().map_or(0, |seen| seen.shadows()),
+        "shadows": opened.scope.flat_field().map_or(0, |seen| seen.shadows()),
     }));
 }
 
 fn keep(
-    desk: &Desk,
+    opened: &OpenInstrument,
     name: &str,
     output: &SaveTargetOutput,
     answer: &Answer,
@@ -118,11 +128,11 @@ fn keep(
         frame,
     } = output;
     let (features, moved) = (target.features.len(), target.moved);
-    let no_picture = || CliError::Internal("the target has no picture".into());
+    let no_picture = || CliError::Internal("the target has no image".into());
     let frame = frame.as_ref().ok_or_else(no_picture)?;
-    tell(name, target, desk, answer);
-    let instrument = &desk.config.name;
-    let library = &desk.library;
+    tell(name, target, opened, answer);
+    let instrument = &opened.config.name;
+    let library = &opened.library;
     let file = library.keep_target(name, instrument, *stage, target.clone(), frame)?;
     answer.put(json!({"file": file.to_string_lossy()}));
     match moved {
@@ -138,7 +148,7 @@ fn keep(
             target.objective
         ),
     }
-    say!(answer, "  {} and its picture beside it", file.display());
+    say!(answer, "  {} and its image beside it", file.display());
     say!(answer, "  come back with: scopeservo reposition {name}");
     Ok(())
 }

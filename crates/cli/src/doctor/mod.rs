@@ -5,8 +5,8 @@ mod words;
 use crate::answer::Answer;
 use crate::args::DoctorArgs;
 use crate::console::Told;
-use crate::desk::Desk;
 use crate::error::{CliError, Code};
+use crate::open_instrument::OpenInstrument;
 use scopeservo_library::{Calibrations as _, Targets as _};
 use scopeservo_scope::conformance;
 use scopeservo_station::jobs::{self as found, Check, DoctorInput, DoctorJob};
@@ -82,8 +82,8 @@ impl<'a> Findings<'a> {
 
 pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> {
     let mut findings = Findings::new(answer);
-    let desk = match Desk::open(&args.instrument, answer) {
-        Ok(desk) => desk,
+    let opened = match OpenInstrument::open(&args.instrument, answer) {
+        Ok(opened) => opened,
         Err(error) => match error.code() {
             Code::NoDriver | Code::Refused | Code::InUse | Code::Fault => {
                 findings.look("the instrument can be opened", Err(error.words()));
@@ -93,8 +93,8 @@ pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> 
             _ => return Err(error),
         },
     };
-    desk.tell_what_waits(answer);
-    for (driver, name) in &desk.drivers {
+    opened.tell_what_waits(answer);
+    for (driver, name) in &opened.drivers {
         findings.look(&format!("driver {driver}"), Ok(name.clone()));
     }
     let job = DoctorJob::new(DoctorInput {
@@ -102,19 +102,19 @@ pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> 
     });
     // What is kept is looked at before the instrument is tried.
     let mut is_kept_told = false;
-    let ended = desk.console.follow(job, |told| {
+    let ended = opened.console.follow(job, |told| {
         if let Told::Event(record) = told
             && let News::Station(StationEvent::Found { finding }) = &record.news
         {
             if finding.of_trial && !is_kept_told {
-                kept(&desk, &mut findings);
+                kept(&opened, &mut findings);
                 is_kept_told = true;
             }
             findings.add(finding.as_ref().into());
         }
     })?;
     if !is_kept_told {
-        kept(&desk, &mut findings);
+        kept(&opened, &mut findings);
     }
     let found = ended?.findings;
     let is_tried = |f: &found::Finding| f.of_trial && matches!(f.check, Check::Contract { .. });
@@ -123,27 +123,27 @@ pub(crate) fn run(args: &DoctorArgs, answer: &Answer) -> Result<bool, CliError> 
             answer,
             "    motion was not tried: `scopeservo doctor --allow-motion`, over a specimen that does not matter, in focus"
         );
-    } else if found.iter().any(is_tried) && desk.scope.gate().objective_is_reported() {
+    } else if found.iter().any(is_tried) && opened.scope.gate().objective_is_reported() {
         say!(
             answer,
-            "    which objective is in was taken from you: `focus` and `calibrate` look at the picture"
+            "    which objective is in was taken from you: `focus` and `calibrate` look at the image"
         );
     }
-    desk.scope.check_cancel()?;
-    findings.conclude(&desk.config.name)
+    opened.scope.check_cancel()?;
+    findings.conclude(&opened.config.name)
 }
 
-fn kept(desk: &Desk, findings: &mut Findings<'_>) {
-    let objectives = desk.scope.gate().objectives();
-    let room = desk.library.try_calibrations(objectives);
-    let room = room.and_then(|()| desk.library.try_targets());
+fn kept(opened: &OpenInstrument, findings: &mut Findings<'_>) {
+    let objectives = opened.scope.gate().objectives();
+    let room = opened.library.try_calibrations(objectives);
+    let room = room.and_then(|()| opened.library.try_targets());
     findings.look(
         "calibrations and targets can be kept",
-        room.map(|()| desk.library.path().display().to_string())
+        room.map(|()| opened.library.path().display().to_string())
             .map_err(|e| e.to_string()),
     );
     for objective in objectives {
-        let found = match desk.library.calibration(objective) {
+        let found = match opened.library.calibration(objective) {
             Ok(Some(kept)) => Ok(format!(
                 "{:.4} um per pixel, made {}",
                 kept.calibration.um_per_px(),
@@ -154,7 +154,7 @@ fn kept(desk: &Desk, findings: &mut Findings<'_>) {
         };
         findings.look(&format!("calibration of {}", objective.id), found);
     }
-    let targets = desk.library.target_names().map_err(|e| e.to_string());
+    let targets = opened.library.target_names().map_err(|e| e.to_string());
     findings.look(
         "targets",
         targets.map(|names| format!("{} saved", names.len())),

@@ -53,11 +53,11 @@ fn name(check: &Check) -> &str {
         Check::Change { .. } => "objectives change",
         Check::Camera { .. } => "camera",
         Check::Exposure { .. } => "the camera says its exposure",
-        Check::Picture => "a picture",
-        Check::Light { .. } => "the picture's light",
+        Check::Picture => "an image",
+        Check::Light { .. } => "the image's light",
         Check::Structure { .. } => "there is something to see",
         Check::Drift { .. } => "the view stands",
-        Check::Scale { .. } => "the picture moves as far as the stage says",
+        Check::Scale { .. } => "the image moves as far as the stage says",
         Check::Contract { what } => what,
     }
 }
@@ -71,7 +71,7 @@ fn seen(check: &Check) -> String {
         Check::Still { motion } => motion.map_or("", still).into(),
         Check::Objectives { all } => all.iter().map(engraved).collect::<Vec<_>>().join(", "),
         Check::InBeam { objective } => match objective {
-            Some(id) => format!("{id} is in the beam"),
+            Some(id) => format!("{id} is active"),
             None => "unknown: the first change will tell".into(),
         },
         Check::Change { rule, objectives } => match rule {

@@ -12,7 +12,7 @@ use std::time::Duration;
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExposureSettings {
-    /// The exposure in force. Automatic exposure must be off: pictures of one place would differ.
+    /// The exposure in force. Automatic exposure must be off: images of one place would differ.
     pub now_ms: f64,
     /// An address that sets it, with {us}, {ms} or {s} where the time belongs.
     pub set_url: Option<String>,

@@ -1,4 +1,4 @@
-//! A folder into which another program puts pictures, or a folder of pictures to go through.
+//! A folder into which another program puts images, or a folder of images to go through.
 
 use crate::camera::exposing::Exposing;
 use crate::camera::picture::{self, Picture};
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime};
 
-/// Which picture of a folder is taken.
+/// Which image of a folder is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FolderOrder {
@@ -22,7 +22,7 @@ pub enum FolderOrder {
     InTurn,
 }
 
-/// A folder of pictures.
+/// A folder of images.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FolderSettings {
@@ -32,10 +32,10 @@ pub struct FolderSettings {
     pub order: FolderOrder,
     /// For `newest`, which needs it: the longest time from the start of an exposure until the file is there, whole.
     pub latency_ms: Option<f64>,
-    /// How long after that a picture is waited for.
+    /// How long after that an image is waited for.
     #[serde(default = "ten_seconds")]
     pub timeout_ms: f64,
-    /// How long the pictures are exposed, as the other program is set.
+    /// How long the images are exposed, as the other program is set.
     pub exposure_ms: f64,
 }
 
@@ -64,7 +64,7 @@ pub struct FolderCamera {
 struct State {
     /// How many frames there were.
     count: u64,
-    /// The name of the last picture, in turn.
+    /// The name of the last image, in turn.
     last: Option<PathBuf>,
 }
 
@@ -76,10 +76,10 @@ struct Version {
 }
 
 impl FolderCamera {
-    /// Looks into the folder. What a picture is like is read off one that is there, or off the first that comes.
+    /// Looks into the folder. What an image is like is read off one that is there, or off the first that comes.
     ///
     /// # Errors
-    /// [`ScopeError::BadSetting`]; [`ScopeError::Device`] for a folder or a picture that cannot be read, and when none comes.
+    /// [`ScopeError::BadSetting`]; [`ScopeError::Device`] for a folder or an image that cannot be read, and when none comes.
     pub fn open(
         settings: &FolderSettings,
         path: PathBuf,
@@ -127,7 +127,7 @@ impl FolderCamera {
         let exposing = Exposing::fixed(exposure);
         Ok(Self {
             info: info(
-                format!("pictures in {}", path.display()),
+                format!("images in {}", path.display()),
                 &first,
                 exposing.range(),
             ),
@@ -148,7 +148,7 @@ impl FolderCamera {
             .find(|file| state.last.as_ref().is_none_or(|last| file > last))
             .ok_or_else(|| {
                 device(format!(
-                    "all {} pictures of {} have been seen",
+                    "all {} images of {} have been seen",
                     state.count,
                     self.path.display()
                 ))
@@ -159,7 +159,7 @@ impl FolderCamera {
     }
 }
 
-/// The pictures in a folder by name.
+/// The images in a folder by name.
 fn files(path: &Path) -> Result<BTreeMap<PathBuf, Version>, ScopeError> {
     let unreadable = |e: std::io::Error| device(format!("{}: {e}", path.display()));
     let mut all = BTreeMap::new();
@@ -187,13 +187,13 @@ fn files(path: &Path) -> Result<BTreeMap<PathBuf, Version>, ScopeError> {
 fn read(file: &Path) -> Result<Picture, ScopeError> {
     let bad = |what: &dyn std::fmt::Display| device(format!("{}: {what}", file.display()));
     if fs::metadata(file).map_err(|e| bad(&e))?.len() > MAX_FILE_BYTES {
-        return Err(bad(&"the file is too large for a picture"));
+        return Err(bad(&"the file is too large for an image"));
     }
     let bytes = fs::read(file).map_err(|e| bad(&e))?;
     picture::decode(&bytes).map_err(|e| bad(&e))
 }
 
-/// Waits until `after` has passed and then for a picture that was not there before, whole.
+/// Waits until `after` has passed and then for an image that was not there before, whole.
 fn wait_for_new(path: &Path, after: Duration, timeout: Duration) -> Result<Picture, ScopeError> {
     let asked = Instant::now();
     std::thread::sleep(after);
@@ -226,7 +226,7 @@ fn wait_for_new(path: &Path, after: Duration, timeout: Duration) -> Result<Pictu
         if asked.elapsed() > after + timeout {
             return Err(fault.unwrap_or_else(|| {
                 device(format!(
-                    "no new picture came into {} within {:.1} s: let the other program save there, again and again",
+                    "no new image came into {} within {:.1} s: let the other program save there, again and again",
                     path.display(),
                     (after + timeout).as_secs_f64()
                 ))
@@ -298,7 +298,7 @@ mod tests {
         assert!(red(&camera).unwrap().abs_diff(20) < 10);
         assert!(red(&camera).unwrap().abs_diff(200) < 10);
         let end = camera.grab().unwrap_err().to_string();
-        assert!(end.contains("all 2 pictures"), "{end}");
+        assert!(end.contains("all 2 images"), "{end}");
         fs::write(folder.path().join("c.jpg"), jpeg(8, 8, 9)).unwrap();
         let size = camera.grab().unwrap_err().to_string();
         assert!(size.contains("now are 8 x 8"), "{size}");
@@ -338,7 +338,7 @@ mod tests {
         let started = Instant::now();
         let silence = camera.grab();
         let silence = silence.unwrap_err().to_string();
-        assert!(silence.contains("no new picture came into"), "{silence}");
+        assert!(silence.contains("no new image came into"), "{silence}");
         assert!(started.elapsed() < Duration::from_secs(1));
     }
 
@@ -349,7 +349,7 @@ mod tests {
         let empty = said(camera(FolderOrder::InTurn, folder.path()));
         assert!(empty.contains("no JPEG, PNG or TIFF"), "{empty}");
         let silent = said(camera(FolderOrder::Newest, folder.path()));
-        assert!(silent.contains("no new picture came into"), "{silent}");
+        assert!(silent.contains("no new image came into"), "{silent}");
         let none = said(camera(FolderOrder::Newest, &folder.path().join("none")));
         assert!(none.contains("none: "), "{none}");
         let mut without = settings(FolderOrder::Newest);

@@ -7,7 +7,7 @@ use scopeservo_scope::ScopeError;
 use std::time::{Duration, Instant};
 use thiserror::Error;
 
-/// No picture is larger.
+/// No image is larger.
 pub const MAX_PICTURE_BYTES: usize = 64 << 20;
 /// No head of an answer is larger.
 const MAX_HEAD_BYTES: usize = 16 << 10;
@@ -27,7 +27,7 @@ pub enum HttpError {
     /// What came is not HTTP.
     #[error("it does not answer as HTTP does: {0}")]
     NotHttp(String),
-    /// It answered, but not with a picture.
+    /// It answered, but not with an image.
     #[error("it answers {status} {reason}{hint}")]
     Status {
         /// The status.
@@ -37,7 +37,7 @@ pub enum HttpError {
         /// What to do.
         hint: String,
     },
-    /// More than a picture can have.
+    /// More than an image can have.
     #[error("its answer has more than {} MiB", MAX_PICTURE_BYTES >> 20)]
     TooLarge,
 }
@@ -247,7 +247,7 @@ pub fn decode_head(bytes: &[u8]) -> Result<Option<(Head, usize)>, HttpError> {
 }
 
 impl Head {
-    /// Whether a picture may follow.
+    /// Whether an image may follow.
     ///
     /// # Errors
     /// [`HttpError::Status`] with what to do.
@@ -269,7 +269,7 @@ impl Head {
                     .into(),
             },
             403 => "; it does not let this machine or this user in".into(),
-            404 => "; it has no such path: look into its manual for the address of the picture"
+            404 => "; it has no such path: look into its manual for the address of the image"
                 .into(),
             503 => "; it serves others already: close them".into(),
             _ => String::new(),

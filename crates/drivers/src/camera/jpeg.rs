@@ -1,4 +1,4 @@
-//! Whether a JPEG is whole. Decoders draw what is missing as grey or shift what follows, and say nothing; a picture with a hole, as a
+//! Whether a JPEG is whole. Decoders draw what is missing as grey or shift what follows, and say nothing; an image with a hole, as a
 //! lost packet leaves it, must not pass for a view. So the codes are walked through and its blocks counted, without decoding them.
 
 use crate::camera::picture_error::PictureError;

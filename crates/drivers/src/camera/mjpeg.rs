@@ -17,10 +17,10 @@ use std::time::{Duration, Instant};
 pub struct MjpegSettings {
     /// Where it sends from: `http://host:port/path`.
     pub url: String,
-    /// The longest time from the start of an exposure until the whole picture is here. Too short a time lets old pictures pass;
+    /// The longest time from the start of an exposure until the whole image is here. Too short a time lets old images pass;
     /// `doctor --allow-motion` finds that out.
     pub latency_ms: f64,
-    /// How long after that a picture is waited for.
+    /// How long after that an image is waited for.
     #[serde(default = "five_seconds")]
     pub timeout_ms: f64,
     /// How long it exposes.
@@ -31,7 +31,7 @@ fn five_seconds() -> f64 {
     5000.0
 }
 
-/// Opens the camera and waits for its first picture.
+/// Opens the camera and waits for its first image.
 ///
 /// # Errors
 /// [`ScopeError::BadSetting`], [`ScopeError::Lost`] when it is not there or answers otherwise, [`ScopeError::Timeout`],
@@ -85,7 +85,7 @@ impl Source for Mjpeg {
             }
             match self.answer.more(self.parts.feed(), deadline) {
                 Ok(true) => before = std::mem::replace(&mut self.grew, Instant::now()),
-                Ok(false) => return Err("it has ended its pictures".into()),
+                Ok(false) => return Err("it has ended its images".into()),
                 Err(HttpError::Link(LinkError::Silence)) => return Ok(None),
                 Err(error) => return Err(error.to_string()),
             }

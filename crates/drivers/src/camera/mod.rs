@@ -1,8 +1,8 @@
 //! Cameras: over the web, in a folder, and on a video device of this machine with the feature `v4l`.
 //!
-//! None of them says when a picture was exposed. So each is told how long a picture may take from the start of its exposure
-//! until it is here (`latency_ms`), and takes only pictures that came later than that after they were asked for: however much
-//! lies in buffers on the way, a picture from before a move never passes for one after it. Time stamps are the earliest
+//! None of them says when an image was exposed. So each is told how long an image may take from the start of its exposure
+//! until it is here (`latency_ms`), and takes only images that came later than that after they were asked for: however much
+//! lies in buffers on the way, an image from before a move never passes for one after it. Time stamps are the earliest
 //! moment at which the exposure can have begun.
 
 mod exposing;
@@ -54,7 +54,7 @@ fn bad_setting(what: impl Into<String>) -> ScopeError {
     ScopeError::BadSetting { what: what.into() }
 }
 
-/// No picture takes longer on its way, and nobody waits longer for one.
+/// No image takes longer on its way, and nobody waits longer for one.
 const LONGEST_MS: f64 = 60_000.0;
 
 /// A setting in milliseconds as a time.
@@ -73,12 +73,12 @@ fn check_latency(what: &str, latency: Duration, exposure: Duration) -> Result<()
         true => Ok(()),
         false => Err(bad_setting(format!(
             "{what} is {latency:?}, shorter than the exposure of {exposure:?}, which it includes: from the start of an exposure until \
-             its picture is here"
+             its image is here"
         ))),
     }
 }
 
-/// What a camera is, from its first picture.
+/// What a camera is, from its first image.
 fn info(name: String, first: &Picture, [shortest, longest]: [Duration; 2]) -> CameraInfo {
     CameraInfo {
         name,
@@ -91,7 +91,7 @@ fn info(name: String, first: &Picture, [shortest, longest]: [Duration; 2]) -> Ca
     }
 }
 
-/// A picture as a frame of this camera.
+/// An image as a frame of this camera.
 fn frame(
     info: &CameraInfo,
     picture: Picture,
@@ -107,7 +107,7 @@ fn frame(
     );
     if shape != (info.width, info.height, info.channels, info.bit_depth) {
         return Err(device(format!(
-            "its pictures were {} x {} ({:?}, {} bits) and now are {} x {} ({:?}, {} bits): set it back, or start again",
+            "its images were {} x {} ({:?}, {} bits) and now are {} x {} ({:?}, {} bits): set it back, or start again",
             info.width,
             info.height,
             info.channels,

@@ -1,4 +1,4 @@
-//! Pictures one after another in one answer: `multipart/x-mixed-replace`, which cameras call MJPEG.
+//! Images one after another in one answer: `multipart/x-mixed-replace`, which cameras call MJPEG.
 
 use crate::camera::http::MAX_PICTURE_BYTES;
 use thiserror::Error;
@@ -7,25 +7,25 @@ use thiserror::Error;
 const MAX_PART_HEAD_BYTES: usize = 8 << 10;
 const MAX_HEADERS: usize = 32;
 
-/// What is wrong with a stream of pictures.
+/// What is wrong with a stream of images.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum MultipartError {
-    /// The answer does not hold pictures one after another.
-    #[error("it sends '{0}' and not multipart/x-mixed-replace: for single pictures use snapshot")]
+    /// The answer does not hold images one after another.
+    #[error("it sends '{0}' and not multipart/x-mixed-replace: for single images use snapshot")]
     OtherType(String),
-    /// The answer does not say what stands between two pictures.
-    #[error("it does not say what stands between two pictures (boundary)")]
+    /// The answer does not say what stands between two images.
+    #[error("it does not say what stands between two images (boundary)")]
     NoBoundary,
-    /// The head of a picture makes no sense.
-    #[error("the head of a picture makes no sense: {0}")]
+    /// The head of an image makes no sense.
+    #[error("the head of an image makes no sense: {0}")]
     Head(String),
-    /// Something too large for a picture, or no end of one.
-    #[error("a picture has more than {} MiB, or has no end", MAX_PICTURE_BYTES >> 20)]
+    /// Something too large for an image, or no end of one.
+    #[error("an image has more than {} MiB, or has no end", MAX_PICTURE_BYTES >> 20)]
     TooLarge,
 }
 
-/// Cuts a stream into pictures. It never holds more than one picture of the greatest size and what was put in last.
+/// Cuts a stream into images. It never holds more than one image of the greatest size and what was put in last.
 #[derive(Debug)]
 pub struct Parts {
     /// The line that begins a part, without its end.
@@ -34,9 +34,9 @@ pub struct Parts {
     state: State,
     /// How much of `held` has been searched.
     searched: usize,
-    /// How much has passed since the last picture.
+    /// How much has passed since the last image.
     passed: usize,
-    /// Whether the last picture said how long it is.
+    /// Whether the last image said how long it is.
     sized: bool,
 }
 
@@ -46,9 +46,9 @@ enum State {
     Between,
     /// After a delimiter, in the head.
     Head,
-    /// In a picture of so many bytes.
+    /// In an image of so many bytes.
     Sized(usize),
-    /// In a picture that ends where the next delimiter begins.
+    /// In an image that ends where the next delimiter begins.
     Unsized,
 }
 
@@ -92,7 +92,7 @@ impl Parts {
         &mut self.held
     }
 
-    /// The next picture, when it has come whole.
+    /// The next image, when it has come whole.
     ///
     /// # Errors
     /// [`MultipartError`]; the stream cannot be read on then.
@@ -157,7 +157,7 @@ impl Parts {
         }
     }
 
-    /// Whether the last picture said how long it is; one that did not ends where the next begins.
+    /// Whether the last image said how long it is; one that did not ends where the next begins.
     pub fn was_sized(&self) -> bool {
         self.sized
     }
@@ -177,7 +177,7 @@ impl Parts {
             .map(|at| from + at)
     }
 
-    /// The head after a delimiter: the size of the picture if it says so; `None` when it has not come whole.
+    /// The head after a delimiter: the size of the image if it says so; `None` when it has not come whole.
     fn head(&mut self) -> Result<Option<Option<usize>>, MultipartError> {
         // The rest of the delimiter's line.
         let Some(line) = self.held.iter().position(|b| *b == b'\n') else {
@@ -249,7 +249,7 @@ mod tests {
                 "Multipart/X-Mixed-Replace;boundary=\"frame\"",
                 "multipart/x-mixed-replace; x=y; Boundary=--frame",
             ] {
-                // What looks like a delimiter inside a picture of a known size is none.
+                // What looks like a delimiter inside an image of a known size is none.
                 assert_eq!(
                     pictures(kind, sized, piece).unwrap(),
                     [b"\xff\xd8--frame".to_vec(), b"ab".to_vec()]

@@ -1,4 +1,4 @@
-//! Pictures as cameras send them, unpacked.
+//! Images as cameras send them, unpacked.
 
 use crate::camera::jpeg;
 pub use crate::camera::picture_error::PictureError;
@@ -7,12 +7,12 @@ use scopeservo_scope::{Channels, Samples};
 use std::borrow::Cow;
 use std::io::Cursor;
 
-/// No picture has more columns or rows.
+/// No image has more columns or rows.
 const MAX_SIDE_PX: u32 = 16_384;
 /// Unpacking needs no more memory.
 const MAX_UNPACKED_BYTES: u64 = 512 << 20;
 
-/// An unpacked picture.
+/// An unpacked image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
     /// Columns.
@@ -87,7 +87,7 @@ pub(crate) mod tests {
     use image::codecs::jpeg::JpegEncoder;
     use image::{ExtendedColorType, ImageFormat};
 
-    /// A picture with structure, and its JPEG.
+    /// An image with structure, and its JPEG.
     pub(crate) fn jpeg(width: u32, height: u32, shade: u8) -> Vec<u8> {
         let pixels: Vec<u8> = (0..width * height)
             .flat_map(|i| {
@@ -111,7 +111,7 @@ pub(crate) mod tests {
         let Samples::U8(samples) = &picture.samples else {
             panic!("{:?}", picture.samples);
         };
-        // The middle of the picture, as it was made.
+        // The middle of the image, as it was made.
         let middle = &samples[3 * (12 * 40 + 20)..][..3];
         for (got, want) in middle.iter().zip([90, 127, 127]) {
             assert!(got.abs_diff(want) <= 6, "{middle:?}");

@@ -25,7 +25,7 @@ pub enum PixelOrder {
     Nv12,
 }
 
-/// How a picture lies in its bytes.
+/// How an image lies in its bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Layout {
     /// The pixels of a row.
@@ -49,7 +49,7 @@ impl Layout {
     }
 }
 
-/// The picture in some bytes. Brightness and colour are taken for ITU-R BT.601 with black at 16 and white at 235, which video
+/// The image in some bytes. Brightness and colour are taken for ITU-R BT.601 with black at 16 and white at 235, which video
 /// devices send unless they say otherwise.
 ///
 /// # Errors
@@ -84,7 +84,7 @@ pub fn unpack(layout: &Layout, bytes: &[u8]) -> Result<Picture, PictureError> {
     let (channels, bit_depth, samples) = match order {
         PixelOrder::Gray => gray(rows.flat_map(|y| row(y).to_vec()).collect()),
         PixelOrder::Gray16 { bits } => {
-            // What lies above the significant bits is not the picture's.
+            // What lies above the significant bits is not the image's.
             let mask = u16::MAX >> (16 - u32::from(bits.clamp(9, 16)));
             let pair = |b: &[u8]| u16::from_le_bytes([b[0], b[1]]) & mask;
             let samples = rows.flat_map(|y| row(y).chunks_exact(2).map(pair).collect::<Vec<_>>());

@@ -1,4 +1,4 @@
-//! Cameras on the web that give one picture for each question.
+//! Cameras on the web that give one image for each question.
 
 use crate::camera::exposing::{Exposing, ExposureSettings};
 use crate::camera::http::{Answer, HttpError, Login, Url};
@@ -10,14 +10,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// A camera that gives a picture for each question over HTTP.
+/// A camera that gives an image for each question over HTTP.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SnapshotSettings {
     /// Where it gives them: `http://host:port/path`, a JPEG, PNG or TIFF.
     pub url: String,
-    /// How long before the question the exposure of the answer may have begun: the oldest picture that it keeps, its exposure
-    /// included. 0 for a camera that exposes when asked. Too short a time lets old pictures pass; `doctor --allow-motion` finds that out.
+    /// How long before the question the exposure of the answer may have begun: the oldest image that it keeps, its exposure
+    /// included. 0 for a camera that exposes when asked. Too short a time lets old images pass; `doctor --allow-motion` finds that out.
     pub stale_ms: f64,
     /// How long an answer may take.
     #[serde(default = "five_seconds")]
@@ -30,7 +30,7 @@ fn five_seconds() -> f64 {
     5000.0
 }
 
-/// A camera that is asked for each picture.
+/// A camera that is asked for each image.
 pub struct SnapshotCamera {
     url: Url,
     login: Option<Login>,
@@ -45,7 +45,7 @@ pub struct SnapshotCamera {
 }
 
 impl SnapshotCamera {
-    /// Asks for a first picture.
+    /// Asks for a first image.
     ///
     /// # Errors
     /// [`ScopeError::BadSetting`], [`ScopeError::Lost`] when it is not there or answers otherwise, [`ScopeError::Timeout`],
@@ -86,7 +86,7 @@ fn shot(
     let bytes = Answer::get(url, login, timeout).and_then(|answer| answer.whole(timeout));
     let bytes = bytes.map_err(|error| match error {
         HttpError::Link(LinkError::Silence) => device(format!(
-            "{url} gave no whole picture within {:.1} s; if it sends one after another, use mjpeg",
+            "{url} gave no whole image within {:.1} s; if it sends one after another, use mjpeg",
             timeout.as_secs_f64()
         )),
         HttpError::Link(error) => lost(format!("{url}: {error}")),

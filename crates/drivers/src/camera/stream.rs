@@ -1,4 +1,4 @@
-//! A camera that sends one picture after another, whether anybody looks or not.
+//! A camera that sends one image after another, whether anybody looks or not.
 
 use crate::camera::exposing::Exposing;
 use crate::camera::picture::{self, Picture, PictureError};
@@ -11,7 +11,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// A picture as it came.
+/// An image as it came.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Packed {
     /// A JPEG, PNG or TIFF file.
@@ -29,9 +29,9 @@ impl Packed {
     }
 }
 
-/// Where the pictures come from.
+/// Where the images come from.
 pub trait Source: Send {
-    /// Waits up to `wait` for a picture, and tells when it was here whole, or a moment before that. `None` when none came; an error
+    /// Waits up to `wait` for an image, and tells when it was here whole, or a moment before that. `None` when none came; an error
     /// when none will come any more.
     ///
     /// # Errors
@@ -44,7 +44,7 @@ type Open = Box<dyn Fn() -> Result<Box<dyn Source>, ScopeError> + Send + Sync>;
 /// How often the reading thread looks whether it is still wanted.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// A camera whose pictures a thread of its own reads, so that none grows old in a buffer. After a fault the next grab opens it
+/// A camera whose images a thread of its own reads, so that none grows old in a buffer. After a fault the next grab opens it
 /// again.
 pub struct StreamCamera {
     info: CameraInfo,
@@ -56,14 +56,14 @@ pub struct StreamCamera {
     clock: Arc<dyn Clock>,
     open: Open,
     reader: Mutex<Option<Reader>>,
-    /// Counts pictures through all readers.
+    /// Counts images through all readers.
     count: Arc<AtomicU64>,
 }
 
 impl StreamCamera {
-    /// Opens it and waits for its first picture.
+    /// Opens it and waits for its first image.
     ///
-    /// A picture may take up to `latency` from the start of its exposure until it is here; one that has not come `timeout` later is
+    /// An image may take up to `latency` from the start of its exposure until it is here; one that has not come `timeout` later is
     /// not waited for any more.
     ///
     /// # Errors
@@ -131,7 +131,7 @@ impl Camera for StreamCamera {
         // A longer exposure is longer on its way.
         let latency = self.latency + exposure.saturating_sub(self.first_exposure);
         let shared = self.shared()?;
-        // Not before it was opened, should it have been lost: the first picture may be one that was kept.
+        // Not before it was opened, should it have been lost: the first image may be one that was kept.
         let (asked_at, asked) = (self.clock.now(), Instant::now());
         let within = latency + self.timeout;
         let (picture, at) = shared.fresh(asked, latency, within).inspect_err(|_| {
@@ -170,11 +170,11 @@ struct Shared {
 #[derive(Default)]
 struct State {
     newest: Option<(Arc<Packed>, Arrival)>,
-    /// Why no picture will come any more.
+    /// Why no image will come any more.
     ended: Option<String>,
 }
 
-/// When a picture was here, and which one it was.
+/// When an image was here, and which one it was.
 #[derive(Debug, Clone, Copy)]
 struct Arrival {
     came: Instant,
@@ -221,7 +221,7 @@ impl Drop for Reader {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
-        // Others may wait for its pictures still.
+        // Others may wait for its images still.
         lock(&self.shared.state)
             .ended
             .get_or_insert_with(|| "its connection was given up".into());
@@ -230,7 +230,7 @@ impl Drop for Reader {
 }
 
 impl Shared {
-    /// A picture whose exposure began at or after `asked`. One that cannot be unpacked is passed over: the next may be whole.
+    /// An image whose exposure began at or after `asked`. One that cannot be unpacked is passed over: the next may be whole.
     fn fresh(
         &self,
         asked: Instant,
@@ -264,7 +264,7 @@ impl Shared {
                 return Err(match fault {
                     Some(fault) => device(fault.to_string()),
                     None => device(format!(
-                        "no picture came within {:.1} s: see whether it is switched on, sends, and serves nobody else",
+                        "no image came within {:.1} s: see whether it is switched on, sends, and serves nobody else",
                         within.as_secs_f64()
                     )),
                 });
@@ -380,7 +380,7 @@ mod tests {
     #[test]
     fn a_grab_never_shows_what_was_before_it() {
         assert_eq!(stale(&bench(LATENCY)), 0);
-        // The test can tell: without the latency, old pictures pass.
+        // The test can tell: without the latency, old images pass.
         assert!(stale(&bench(Duration::from_millis(1))) > 5);
     }
 
@@ -413,7 +413,7 @@ mod tests {
             error
         };
         let silent = told("silent").to_string();
-        assert!(silent.contains("no picture came within 0.4 s"), "{silent}");
+        assert!(silent.contains("no image came within 0.4 s"), "{silent}");
         let damaged = told("damaged").to_string();
         assert!(damaged.contains("breaks off"), "{damaged}");
         let size = told("other size").to_string();

@@ -16,14 +16,14 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// How often it is asked whether a picture has come.
+/// How often it is asked whether an image has come.
 const ASK: Duration = Duration::from_millis(2);
 /// The exposure is counted in units of 0.1 ms.
 const EXPOSURE_UNIT_S: f64 = 1e-4;
 /// The value of `EXPOSURE_AUTO` for an exposure that stays as it is set.
 const MANUAL: i32 = 1;
 
-/// Opens the device and waits for its first picture.
+/// Opens the device and waits for its first image.
 ///
 /// # Errors
 /// [`ScopeError::BadSetting`] for a size or format that it does not have, [`ScopeError::Lost`] when it is not there or in use,
@@ -50,7 +50,7 @@ fn open(path: &Path) -> Result<Device, ScopeError> {
     let can = can.device_capabilities();
     if !can.contains(CapabilityFlags::VIDEO_CAPTURE) {
         return Err(bad(
-            &"the device gives no pictures: many cameras have several devices, of which the first gives them",
+            &"the device gives no images: many cameras have several devices, of which the first gives them",
         ));
     }
     Ok(there)

@@ -41,10 +41,10 @@ pub struct V4lSettings {
     pub height_px: u32,
     /// How pixels are sent. Not `mjpg` where there is a choice: its blocks are taken for structure.
     pub format: PixelFormat,
-    /// The longest time from the start of an exposure until the picture is here: three frames for most. Too short a time lets old
-    /// pictures pass; `doctor --allow-motion` finds that out.
+    /// The longest time from the start of an exposure until the image is here: three frames for most. Too short a time lets old
+    /// images pass; `doctor --allow-motion` finds that out.
     pub latency_ms: f64,
-    /// How long after that a picture is waited for.
+    /// How long after that an image is waited for.
     #[serde(default = "three_seconds")]
     pub timeout_ms: f64,
     /// For a device whose exposure cannot be set, such as a capture card: how long it exposes.

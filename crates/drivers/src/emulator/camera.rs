@@ -1,4 +1,4 @@
-//! An emulated camera on the web: a stream of pictures at `/stream`, single ones at `/shot`, the exposure at `/exposure?ms=`.
+//! An emulated camera on the web: a stream of images at `/stream`, single ones at `/shot`, the exposure at `/exposure?ms=`.
 
 use std::collections::VecDeque;
 use std::io::{Read, Write};
@@ -8,15 +8,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Where an emulated camera gets a picture from: a whole JPEG of what it sees now.
+/// Where an emulated camera gets an image from: a whole JPEG of what it sees now.
 pub type View = Arc<dyn Fn() -> Vec<u8> + Send + Sync>;
 
 /// How the camera sends its stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sending {
-    /// Each picture with its length, the answer without.
+    /// Each image with its length, the answer without.
     Sized,
-    /// Pictures without a length.
+    /// Images without a length.
     Unsized,
     /// The whole answer in chunks.
     Chunked,
@@ -27,11 +27,11 @@ pub enum Sending {
 pub enum CameraFault {
     /// Nothing.
     None,
-    /// The connection ends in the middle of a picture, and no other is taken.
+    /// The connection ends in the middle of an image, and no other is taken.
     Unplugged,
     /// Nothing more is sent, and the connection stays.
     Silence,
-    /// Each picture breaks off, though the stream goes on.
+    /// Each image breaks off, though the stream goes on.
     HalfPictures,
     /// Bytes that are no HTTP, or no part of a stream.
     Garbage,
@@ -48,9 +48,9 @@ pub enum CameraFault {
 pub struct EmulatedCamera {
     /// What it sees.
     pub view: View,
-    /// Between two pictures of the stream.
+    /// Between two images of the stream.
     pub period: Duration,
-    /// From the exposure of a picture until it is sent; single pictures come from a buffer that is so old at the most.
+    /// From the exposure of an image until it is sent; single images come from a buffer that is so old at the most.
     pub delay: Duration,
     /// How the stream is sent.
     pub sending: Sending,
@@ -62,7 +62,7 @@ struct State {
     camera: EmulatedCamera,
     fault: CameraFault,
     exposure_ms: f64,
-    /// What single pictures are answered from.
+    /// What single images are answered from.
     kept: Option<(Instant, Vec<u8>)>,
     open: Vec<TcpStream>,
 }
@@ -202,7 +202,7 @@ fn answer(mut stream: TcpStream, state: &Mutex<State>, over: &AtomicBool) -> std
     }
 }
 
-/// A single picture, from the buffer unless that is too old.
+/// A single image, from the buffer unless that is too old.
 fn shot(
     stream: &mut TcpStream,
     state: &Mutex<State>,

@@ -23,7 +23,7 @@ pub fn read_secret(
     }
 }
 
-/// A camera on the web, and who may see its pictures.
+/// A camera on the web, and who may see its images.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OnTheWeb<T> {

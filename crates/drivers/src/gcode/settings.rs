@@ -39,9 +39,9 @@ pub struct GcodeNosepiece {
     /// Speed of every change.
     pub speed_deg_per_s: f64,
     /// Whether it has a switch that tells where it is; the first change then looks for it. `false`: it stood at 0 when the board
-    /// was switched on, and a picture must show that this is so.
+    /// was switched on, and an image must show that this is so.
     pub needs_homing: bool,
-    /// An objective counts as in the beam when the axis stands this near to its place.
+    /// An objective counts as active when the axis stands this near to its place.
     pub arrival_tolerance_deg: f64,
     /// The objectives.
     pub objectives: Vec<TurretPlace>,

@@ -42,7 +42,7 @@ pub struct RotaryAxis {
 pub struct Gcs2Nosepiece {
     /// The controller's name for the axis.
     pub name: String,
-    /// An objective counts as in the beam when the controller reads an angle this near to its place.
+    /// An objective counts as active when the controller reads an angle this near to its place.
     pub arrival_tolerance_deg: f64,
     /// The objectives.
     pub objectives: Vec<TurretPlace>,

@@ -86,7 +86,7 @@ impl SangaStage {
         })
     }
 
-    /// Takes the current off the motors, which stay warm and shake the picture otherwise. They may jump by some steps.
+    /// Takes the current off the motors, which stay warm and shake the image otherwise. They may jump by some steps.
     ///
     /// # Errors
     /// [`ScopeError::Busy`] while it moves, and as [`SangaStage::connect`].

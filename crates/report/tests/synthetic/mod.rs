@@ -1,4 +1,4 @@
-//! Made-up runs with made-up pictures: what a report is tested and shown with where no microscope is.
+//! Made-up runs with made-up images: what a report is tested and shown with where no microscope is.
 
 #![allow(dead_code, reason = "each user of this module needs a part of it")]
 
@@ -402,7 +402,7 @@ impl Teller {
     }
 }
 
-/// Places that fall into both pictures.
+/// Places that fall into both images.
 fn pairs(target_from_view: &Affine2, wanted: usize) -> Vec<[f32; 4]> {
     let back = target_from_view.inverse().unwrap();
     (0..)
@@ -459,7 +459,7 @@ pub(crate) fn not_found() -> Teller {
     t.finish(
         Verdict::NotFound,
         Reason::TargetNotInView,
-        "the saved view was not found at 100x: 6 agreeing places among 41 matches could be chance. Bring the specimen so \
+        "the saved view was not found at 100x: 6 inliers among 41 matches could be chance. Bring the specimen so \
          that the place lies in the field at the lowest magnification, and try again",
     );
     t

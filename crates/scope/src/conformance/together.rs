@@ -5,7 +5,7 @@ use super::trial::{LONG_M, long_axis, towards_room, trial};
 use crate::{Frame, Instrument, StagePose};
 use std::time::Duration;
 
-/// No picture is on its way for longer.
+/// No image is on its way for longer.
 const LATEST: Duration = Duration::from_secs(3);
 
 /// Checks of stage and camera together: freshness after a move, grabbing during motion. Needs a specimen with structure.
@@ -27,7 +27,7 @@ pub fn check_together(scope: &Instrument) -> Vec<Check> {
             );
             ensure(away > 1.5 * still, || {
                 format!(
-                    "pictures differ by {away:.4} after the move and by {still:.4} without it: is a specimen in, in focus?"
+                    "images differ by {away:.4} after the move and by {still:.4} without it: is a specimen in, in focus?"
                 )
             })
         }),
@@ -49,14 +49,14 @@ pub fn check_together(scope: &Instrument) -> Vec<Check> {
                 let away = difference(&before, &later);
                 ensure(away > 1.5 * still, || {
                     format!(
-                        "there is too little to see ({away:.4} after the move, {still:.4} without it) to tell whether pictures are fresh: \
+                        "there is too little to see ({away:.4} after the move, {still:.4} without it) to tell whether images are fresh: \
                      put in a specimen that does not matter, in focus"
                     )
                 })?;
                 ensure(early <= 2.0 * still + 1e-3, || {
                     format!(
-                        "the picture after a move differs by {early:.4} from one {} s later, where two in a row differ by {still:.4}: \
-                     pictures are older than the camera's driver takes them for, or the stage goes on after it said that it stands",
+                        "the image after a move differs by {early:.4} from one {} s later, where two in a row differ by {still:.4}: \
+                     images are older than the camera's driver takes them for, or the stage goes on after it said that it stands",
                         LATEST.as_secs_f64()
                     )
                 })

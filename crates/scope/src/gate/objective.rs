@@ -1,4 +1,4 @@
-//! The objective in the beam: what is reported, what pictures have shown, and which rules follow.
+//! The active objective: what is reported, what images have shown, and which rules follow.
 
 use super::MotionGate;
 use crate::{Objective, ObjectiveId, ScopeError};
@@ -27,23 +27,23 @@ impl MotionGate {
             })
     }
 
-    /// The objective in the beam; `None` while turning or unknown, and after a picture has contradicted what is reported.
+    /// The active objective; `None` while turning or unknown, and after an image has contradicted what is reported.
     pub fn current_objective(&self) -> Result<Option<ObjectiveId>, ScopeError> {
         let told = self.nosepiece.current()?;
         Ok(told.filter(|_| !self.knowledge.is_contradicted()))
     }
 
-    /// Whether the objective in the beam is only reported: no sensor tells, and no picture has borne it out.
+    /// Whether the active objective is only reported: no sensor tells, and no image has borne it out.
     pub fn objective_is_reported(&self) -> bool {
         self.knowledge.is_reported()
     }
 
-    /// A picture has shown that the objective in the beam is the one that [`MotionGate::current_objective`] tells.
+    /// An image has shown that the active objective is the one that [`MotionGate::current_objective`] tells.
     pub fn confirm_objective(&self) {
         self.knowledge.confirm();
     }
 
-    /// A picture has shown that it is another. Returns whether changing to it once more may help.
+    /// An image has shown that it is another. Returns whether changing to it once more may help.
     pub fn contradict_objective(&self) -> bool {
         self.knowledge.contradict()
     }
@@ -53,7 +53,7 @@ impl MotionGate {
         !self.rules.objective_limits.is_empty() || !self.rules.zones.is_empty()
     }
 
-    /// Objectives that may be in the beam: all of them when nobody knows, or it is only reported.
+    /// Objectives that may be active: all of them when nobody knows, or it is only reported.
     pub(super) fn in_beam(&self) -> Result<Vec<ObjectiveId>, ScopeError> {
         if !self.narrows() {
             // Nobody asks.

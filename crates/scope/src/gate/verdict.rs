@@ -5,7 +5,7 @@ use crate::judge::{Judge, at_most};
 use crate::{GateEvent, ObjectiveId, ScopeError, StagePose};
 
 impl MotionGate {
-    /// Whether the stage may go there from where it stands, with the objective that is in the beam: limits, workspace, zones. The way
+    /// Whether the stage may go there from where it stands, with the active objective: limits, workspace, zones. The way
     /// there is judged when the move begins.
     ///
     /// # Errors

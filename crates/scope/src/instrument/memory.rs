@@ -1,4 +1,4 @@
-//! What an instrument remembers of pictures: where objectives are in focus, and what lies on the camera.
+//! What an instrument remembers of images: where objectives are in focus, and what lies on the camera.
 
 use super::Instrument;
 use crate::{FlatField, Length, ObjectiveId};

@@ -68,7 +68,7 @@ impl Instrument {
         Ok(())
     }
 
-    /// Goes to a height from the side away from the specimen, so that play leaves the stage farther and never nearer than the height
+    /// Goes to a height from the side away from the specimen, so that backlash leaves the stage farther and never nearer than the height
     /// says. Where the last of the way is refused, it stays farther away.
     ///
     /// # Errors

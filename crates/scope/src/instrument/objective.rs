@@ -96,7 +96,7 @@ impl Instrument {
             return Err(ScopeError::Device {
                 device: "nosepiece",
                 detail: format!(
-                    "asked for {id}, but {} is in the beam",
+                    "asked for {id}, but {} is active",
                     now.map_or("nothing known".to_string(), |o| o.0)
                 ),
             });

@@ -33,7 +33,7 @@ pub struct Calibrate {
 }
 
 impl Calibrate {
-    /// A calibration around the present place with the objective in the beam.
+    /// A calibration around the present place with the active objective.
     pub fn new(objective: Objective, options: CalibrateOptions, vision: VisionOptions) -> Self {
         Self {
             options,

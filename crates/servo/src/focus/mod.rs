@@ -5,7 +5,7 @@
 //! outwards and the safe side first, until a level shows a peak; then it is looked at closer on finer levels (`search.rs`), and
 //! fitted (`curve.rs`). The measure is the caller's choice (`measure.rs`), and the noise's share is taken off (`noise.rs`): the paper's
 //! mean |Laplacian| of section IV-B.1 is one of them. Heights are those that the stage says it is at; all of them are reached from the
-//! side away from the specimen, so that play in the drive does not enter. Towards the specimen there is a bound
+//! side away from the specimen, so that backlash in the drive does not enter. Towards the specimen there is a bound
 //! that no sweep passes. A sweep without a peak is an answer of its own: the stage goes back to where it started.
 
 mod curve;

@@ -191,7 +191,7 @@ mod tests {
         frame_of(32, 24, |i| f(i % 32, i / 32))
     }
 
-    /// Blank glass with noise of a standard deviation, and marks: rows of hard dots on some of the picture. What else there is in a cell is
+    /// Blank glass with noise of a standard deviation, and marks: rows of hard dots on some of the image. What else there is in a cell is
     /// added by `more`.
     fn blank(
         rng: &mut SplitMix64,

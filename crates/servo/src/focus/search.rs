@@ -5,7 +5,7 @@ use super::state::{Focus, Step, depth_of_field_um, height};
 use crate::ServoError;
 use scopeservo_scope::{Axis, Instrument, ScopeError, StagePose};
 
-/// So far the stage goes back before it comes from the side away from the specimen, um: farther than drives usually have play.
+/// So far the stage goes back before it comes from the side away from the specimen, um: farther than the backlash of usual drives.
 pub(super) const TAKES_UP_UM: f64 = 10.0;
 /// Steps towards a height that rises, and around a peak that is looked at closer, in widths of a level.
 const CLIMB: f64 = 1.0;

@@ -37,7 +37,7 @@ pub trait Localizer: Debug + Send + Sync {
     /// Adds to a target what it lacks to be looked for: a target may come from another program or microscope.
     ///
     /// # Errors
-    /// [`ServoError::PoorTarget`], or why its picture cannot be used.
+    /// [`ServoError::PoorTarget`], or why its image cannot be used.
     fn prepare<'a>(&self, target: &'a Target) -> Result<Cow<'a, Target>, ServoError>;
 
     /// Looks for a target, prepared before, in a view. The inner result is a measurement or the reason why there is none.

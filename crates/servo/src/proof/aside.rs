@@ -15,7 +15,7 @@ pub(crate) const SEEN_PX: f64 = 12.0;
 const FIRST_STEP_PX: f64 = 16.0;
 /// Seen from the goal it must be as far, also when the view was not quite there.
 const MARGIN_PX: f64 = 1.5;
-/// The step doubles up to this share of the shorter side: play in the drive may swallow a small one.
+/// The step doubles up to this share of the shorter side: backlash in the drive may swallow a small one.
 const LONGEST_SHARE: f64 = 0.25;
 
 /// What a step aside showed.
@@ -59,7 +59,7 @@ pub(crate) fn step_aside(
     let longest = steps[steps.len() - 1];
     let mut gone_um: f64 = 0.0;
     let mut refused = None;
-    // One way first; along the lines of a grating, or into the play of a drive, another way may show more.
+    // One way first; along the lines of a grating, or into the backlash of a drive, another way may show more.
     let others = directions(scope)
         .into_iter()
         .skip(1)

@@ -16,7 +16,7 @@ pub(crate) const LEAST_PX: f64 = 3.0;
 const ALIKE: f64 = 0.6;
 /// and by this much less with where the other does.
 const APART: f64 = 0.3;
-/// Half side of the patches of a grid over the picture, and their distance, pixels.
+/// Half side of the patches of a grid over the image, and their distance, pixels.
 const GRID_RADIUS: usize = 8;
 const GRID_STEP: usize = 8;
 /// Blur before comparing, pixels.
@@ -62,7 +62,7 @@ impl Parallax {
         (parallax.motion_px(first.width(), first.height()) >= LEAST_PX).then_some(parallax)
     }
 
-    /// How far the picture's centre moved.
+    /// How far the image's centre moved.
     pub(crate) fn motion_px(&self, width: usize, height: usize) -> f64 {
         let c = crate::vision::centre_px(width, height);
         let q = self.second_from_first.apply(c);
@@ -118,7 +118,7 @@ impl Parallax {
         })
     }
 
-    /// All places that stayed, of a grid over the picture and of its features.
+    /// All places that stayed, of a grid over the image and of its features.
     pub(crate) fn fixed(&self, features: &Features) -> FixedPlaces {
         let mut places = Vec::new();
         let along =
@@ -174,7 +174,7 @@ impl FixedPlaces {
         self.places.extend(other.places);
     }
 
-    /// Adds keypoints of a picture that turned out not to move with the specimen: their places and sizes.
+    /// Adds keypoints of an image that turned out not to move with the specimen: their places and sizes.
     pub(crate) fn add_keypoints(
         &mut self,
         [width, height]: [usize; 2],
@@ -185,7 +185,7 @@ impl FixedPlaces {
         self.places.extend(places);
     }
 
-    /// Whether a place of the picture is one of them.
+    /// Whether a place of the image is one of them.
     pub(crate) fn holds(&self, p: Vec2) -> bool {
         self.places.iter().any(|&[x, y, r]| {
             let d = [p[0] - f64::from(x), p[1] - f64::from(y)];
@@ -193,7 +193,7 @@ impl FixedPlaces {
         })
     }
 
-    /// The features that lie on none of them. A picture of another size is one of another camera, and keeps all.
+    /// The features that lie on none of them. An image of another size is one of another camera, and keeps all.
     pub(crate) fn without<'a>(&self, features: &'a Features) -> std::borrow::Cow<'a, Features> {
         if self.is_empty() || [self.width, self.height] != [features.width, features.height] {
             return std::borrow::Cow::Borrowed(features);

@@ -32,12 +32,12 @@ const FOLLOWED_FROM: usize = 2;
 const ASIDES: u8 = 2;
 /// The transform of the places that moved must agree with the one of all places within so many sigmas,
 const AGREE_SIGMAS: f64 = 3.0;
-/// or this, in pixels of the coarser picture: the noise that both share.
+/// or this, in pixels of the coarser image: the noise that both share.
 const AGREE_PX: f64 = 0.05;
 /// A view that follows a move by less than this share does not follow.
 pub(crate) const FOLLOWS: f64 = 0.25;
 
-/// A place that lies so far from where the places that moved put it does not belong to them, pixels of the coarser picture.
+/// A place that lies so far from where the places that moved put it does not belong to them, pixels of the coarser image.
 const BENT_PX: f64 = 1.0;
 
 /// The view goes at most this much farther than the stage says it went,
@@ -82,7 +82,7 @@ pub(crate) struct Station<'a> {
 }
 
 impl Station<'_> {
-    /// Whether a view moved as the stage says that it went from `before`, as far as play, scatter and the calibration let it: `seen_px` is
+    /// Whether a view moved as the stage says that it went from `before`, as far as backlash, scatter and the calibration let it: `seen_px` is
     /// where this view's centre lay in the one from there, from its centre. Play may leave `least` of the way.
     pub(crate) fn follows(&self, before: &PlanarPose, seen_px: Vec2, least: f64) -> bool {
         let Some(pixel_from_stage) = self.calibration.pixel_from_stage() else {
@@ -178,7 +178,7 @@ impl Proof {
         all.then_some(self.witnesses.len())
     }
 
-    /// What the agreeing places that moved say, without the others.
+    /// What the inliers that moved say, without the others.
     pub(crate) fn judge(
         &mut self,
         measured: &Measurement,

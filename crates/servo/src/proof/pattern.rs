@@ -27,7 +27,7 @@ const FITS: usize = 6;
 const SIGMAS: [f32; 2] = [2.5, 5.0];
 /// Less than this is no shadow worth dividing out.
 const LEAST_DEPTH: f32 = 0.015;
-/// When more of the picture than this is off, the specimen was in the way.
+/// When more of the image than this is off, the specimen was in the way.
 const LARGEST_SHARE: f64 = 0.3;
 /// A shadow must explain this share of the variance around it, in half of the frames.
 const EXPLAINS: f64 = 0.6;

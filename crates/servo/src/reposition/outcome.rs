@@ -30,7 +30,7 @@ pub enum Reason {
     NoFocus,
     /// It gets sharper towards where the stage may not go.
     AtLimit,
-    /// Another objective is in the beam than the one that was asked for, or it could not be seen which.
+    /// Another objective is active than the one that was asked for, or it could not be seen which.
     WrongObjective,
     /// Calibration had too little to see or was implausible.
     CalibrationFailed,
@@ -46,7 +46,7 @@ pub enum Reason {
     CannotTurn,
     /// Another place looks the same.
     Ambiguous,
-    /// The stage moved, and nothing in the picture did: stuck, or all of it is on the camera.
+    /// The stage moved, and nothing in the image did: stuck, or all of it is on the camera.
     NothingMoves,
     /// What agrees with the target was not seen to move with the specimen.
     Unproven,

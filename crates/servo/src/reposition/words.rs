@@ -43,14 +43,14 @@ pub(super) fn answer_of(
         }
         ServoEnd::NothingMoves { moved_um } => {
             let message = format!(
-                "at {at}x the stage moved by {moved_um:.1} um, and nothing in the picture moved with it: the stage is stuck, or all that \
+                "at {at}x the stage moved by {moved_um:.1} um, and nothing in the image moved with it: the stage is stuck, or all that \
                      agrees with the saved view is on the camera (dust, a reticle, burnt-in text)"
             );
             (Verdict::Refused, Reason::NothingMoves, message)
         }
         ServoEnd::Unproven(_) => {
             let message = format!(
-                "at {at}x the picture agrees with the saved view, but too little of what agrees was seen to move with the specimen: the \
+                "at {at}x the image agrees with the saved view, but too little of what agrees was seen to move with the specimen: the \
                      rest may be on the camera. Clean it, or save a view with more tissue"
             );
             (Verdict::Refused, Reason::Unproven, message)

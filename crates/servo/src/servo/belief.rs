@@ -12,10 +12,10 @@ use scopeservo_registration::{Estimate, Prior, Rival, shifted, undecided};
 use scopeservo_scope::Instrument;
 use std::borrow::Cow;
 
-/// Where the target has no picture to ask, a rival that explains this share of the places is as good.
+/// Where the target has no image to ask, a rival that explains this share of the places is as good.
 const AS_GOOD: f64 = 0.8;
 
-/// What is believed of the places that agree.
+/// What is believed of the inliers.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Belief {
     /// This transform, and whether it passes the convergence test.
@@ -194,7 +194,7 @@ impl Servo {
     }
 }
 
-/// What goes on in the same direction as before is followed by this share, whatever the play.
+/// What goes on in the same direction as before is followed by this share, whatever the backlash.
 const GOES_ON: f64 = 0.75;
 
 impl Servo {

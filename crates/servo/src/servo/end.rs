@@ -23,7 +23,7 @@ pub enum ServoEnd {
         /// Size of a pixel of the target, um.
         um_per_px: f64,
     },
-    /// The stage moved, and nothing in the picture did.
+    /// The stage moved, and nothing in the image did.
     NothingMoves {
         /// How far the stage moved, um.
         moved_um: f64,
@@ -75,7 +75,7 @@ impl ServoEnd {
 pub struct ServoResult {
     /// Iterations done.
     pub iterations: usize,
-    /// Agreeing places in the last frame.
+    /// Inliers in the last frame.
     pub inliers: usize,
     /// The last error; the mean over the confirming frames after convergence.
     pub error: PoseError,

@@ -50,7 +50,7 @@ impl Servo {
             .map_or(Progress::Continue, Progress::Done)
     }
 
-    /// Some places that agree are fixed to the camera: the next frame is seen without them.
+    /// Some inliers are fixed to the camera: the next frame is seen without them.
     pub(crate) fn look_again(
         &mut self,
         task: &ServoTask<'_>,

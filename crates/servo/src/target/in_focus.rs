@@ -87,7 +87,7 @@ impl InFocus {
                 },
             );
         } else if here as f64 > SHARPER * self.features(scope, sink)? as f64 {
-            // The drive has play: the same number is another height now, and the view was as sharp as the sharpest.
+            // The drive has backlash: the same number is another height now, and the view was as sharp as the sharpest.
             let sharpest = Length::from_um(sharpest_um);
             scope.return_to_height(sharpest)?;
         }

@@ -1,4 +1,4 @@
-//! A saved view: its features, its picture and how it was taken.
+//! A saved view: its features, its image and how it was taken.
 
 mod in_focus;
 mod picture;
@@ -38,7 +38,7 @@ pub struct Target {
     /// prove it.
     #[serde(default)]
     pub moved: Option<usize>,
-    /// What of its picture was seen to move with the stage, for features that are made again. Targets saved without moving lack it, and those
+    /// What of its image was seen to move with the stage, for features that are made again. Targets saved without moving lack it, and those
     /// saved earlier.
     #[serde(default)]
     pub mask: Option<Mask>,
@@ -65,7 +65,7 @@ pub struct Taken {
 }
 
 impl Taken {
-    /// The grey picture, without the shadows on the camera, as features are made of it.
+    /// The grey image, without the shadows on the camera, as features are made of it.
     ///
     /// # Errors
     /// [`ServoError::Features`] when it has no pixels.
@@ -78,7 +78,7 @@ impl Target {
     /// Grabs the present view as a target without moving anything: nobody knows yet what of it belongs to the specimen.
     ///
     /// # Errors
-    /// Instrument and detector errors; [`ServoError::CannotGoOn`] when no objective is in the beam.
+    /// Instrument and detector errors; [`ServoError::CannotGoOn`] when no objective is active.
     pub fn save(
         scope: &Instrument,
         options: &VisionOptions,
@@ -87,7 +87,7 @@ impl Target {
         Ok(Self::grab(scope, options, sink)?.0)
     }
 
-    /// Its grey picture: that of the frame, without the shadows on the camera, or the one in 8 bits.
+    /// Its grey image: that of the frame, without the shadows on the camera, or the one in 8 bits.
     pub(crate) fn gray(&self) -> Result<GrayImage, ServoError> {
         if let Some(taken) = &self.taken {
             return taken.gray();
@@ -95,7 +95,7 @@ impl Target {
         let picture = self.picture.as_ref().and_then(Picture::image);
         picture.ok_or_else(|| {
             ServoError::CannotGoOn(
-                "the target has no picture to make features of; save it again".into(),
+                "the target has no image to make features of; save it again".into(),
             )
         })
     }
@@ -106,7 +106,7 @@ impl Target {
         sink: &mut dyn Sink,
     ) -> Result<(Self, GrayImage, Arc<Frame>), ServoError> {
         let objective = scope.gate().current_objective()?.ok_or_else(|| {
-            ServoError::CannotGoOn("no objective is in the beam; select one and try again".into())
+            ServoError::CannotGoOn("no objective is active; select one and try again".into())
         })?;
         let frame = grab(scope, sink, FrameRole::Target, &objective)?;
         let image = gray(scope, &frame)?;

@@ -1,10 +1,10 @@
-//! A target's picture for people, and for telling places that look alike from each other.
+//! A target's image for people, and for telling places that look alike from each other.
 
 use base64::Engine as _;
 use scopeservo_features::GrayImage;
 use serde::{Deserialize, Serialize};
 
-/// A grey picture in 8 bits, from its darkest to its brightest place.
+/// A grey image in 8 bits, from its darkest to its brightest place.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Picture {
     /// Columns.
@@ -34,7 +34,7 @@ impl Picture {
         }
     }
 
-    /// The picture, 0 to 1; `None` when it was damaged.
+    /// The image, 0 to 1; `None` when it was damaged.
     pub fn image(&self) -> Option<GrayImage> {
         let bytes = base64::engine::general_purpose::STANDARD
             .decode(&self.gray)

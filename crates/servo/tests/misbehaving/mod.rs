@@ -178,7 +178,7 @@ impl Stage for Misbehaving {
     }
 }
 
-/// A camera that fails after so many pictures.
+/// A camera that fails after so many images.
 struct Failing {
     real: Box<dyn Camera>,
     left: Arc<Mutex<usize>>,
@@ -274,7 +274,7 @@ impl Bench {
             axis.backlash = make.play_um;
         }
         let mut config = Config::realistic().with_stage(stage);
-        // Small pictures are enough to tell, and quick.
+        // Small images are enough to tell, and quick.
         (config.camera.width, config.camera.height) = (320, 240);
         let mut kept = 0..config.optics.len();
         config
@@ -337,7 +337,7 @@ impl Bench {
         *lock(&self.wrong) = wrong;
     }
 
-    /// The camera fails after so many pictures.
+    /// The camera fails after so many images.
     pub(crate) fn pictures_left(&self, count: usize) {
         *lock(&self.pictures) = count;
     }

@@ -40,7 +40,7 @@ pub(super) fn scan_row<S: Simd>(
     let (finer, coarser) = (row(layer - 1, y), row(layer + 1, y));
     let limit = f32x16::splat(s, threshold);
     for first in columns.clone().step_by(WORD) {
-        // Most of a picture is weak all over or strong here and there; which samples are candidates cannot be foretold, so they
+        // Most of an image is weak all over or strong here and there; which samples are candidates cannot be foretold, so they
         // are found without a branch.
         let mut strong = run(s, here, first).abs();
         for k in 1..WORD / RUN {

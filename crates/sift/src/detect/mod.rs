@@ -9,16 +9,16 @@
 //! The finest scale in reach is `sigma * 2^(1 / (2 intervals))` pixels of the first octave, 0.9 input pixels by default: Gaussian
 //! spots below a sigma of about 1.1 pixels are not extrema of this scale space.
 
-mod bar;
 mod differences;
 mod extremum;
 mod neighbourhood;
 mod quadratic;
 mod refine;
+mod response_threshold;
 mod scan;
 mod scanner;
 
-pub(crate) use bar::Bar;
 pub(crate) use extremum::Extremum;
+pub(crate) use response_threshold::ResponseThreshold;
 pub(crate) use scan::Scan;
 pub(crate) use scanner::Scanner;

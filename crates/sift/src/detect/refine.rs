@@ -2,10 +2,10 @@
 
 use fearless_simd::Simd;
 
-use super::bar::Bar;
 use super::extremum::Extremum;
 use super::neighbourhood::Neighbourhood;
 use super::quadratic::Quadratic;
+use super::response_threshold::ResponseThreshold;
 use super::scan::{BORDER, Hit, LEAST_SHARE, Scan};
 use crate::scale_space::WINDOW;
 
@@ -20,7 +20,7 @@ const REACH: usize = WINDOW - 4;
 const MOVE_BEYOND: f64 = 0.6;
 
 /// Follows the quadratic fit from a sample to its extremum; `None` when it leads away, is too weak, lies on an edge or is below the
-/// bar.
+/// threshold.
 #[expect(
     clippy::too_many_lines,
     reason = "a kernel: in parts, each with its arguments, the fit would be longer and no clearer"
@@ -31,7 +31,7 @@ pub(super) fn refine<S: Simd>(
     around: &Neighbourhood<'_>,
     scan: &Scan<'_>,
     start: Hit,
-    bar: &mut Bar,
+    threshold: &mut ResponseThreshold,
 ) -> Option<Extremum> {
     let Scan {
         options,
@@ -52,7 +52,7 @@ pub(super) fn refine<S: Simd>(
         let fit = Quadratic::of(&around.cube_at(layer, x, y));
         if moves == 0 {
             value = fit.value.abs() as f32;
-            if value < LEAST_SHARE * bar.weakest {
+            if value < LEAST_SHARE * threshold.weakest {
                 return None;
             }
         }
@@ -90,12 +90,12 @@ pub(super) fn refine<S: Simd>(
     if response < thresholds[layer] || !fit.is_blob(f64::from(options.edge_ratio)) {
         return None;
     }
-    if response < bar.weakest {
+    if response < threshold.weakest {
         return None;
     }
     if moves == 0 {
         // Others that end here have come from elsewhere: only this one is counted.
-        bar.see(response);
+        threshold.see(response);
     }
     let (mut px, mut py) = (x as f64 + offset[0], y as f64 + offset[1]);
     let mut ps = layer as f64 + offset[2];

@@ -2,11 +2,11 @@
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::bar::Bar;
 use super::differences::{Differences, RUN, run, scan_row};
 use super::extremum::Extremum;
 use super::neighbourhood::Neighbourhood;
 use super::refine::refine;
+use super::response_threshold::ResponseThreshold;
 use super::scan::{BORDER, Hit, LEAST_SHARE, Scan};
 use crate::aligned::Aligned;
 use crate::scale_space::{Levels, WINDOW};
@@ -19,19 +19,20 @@ pub(crate) struct Scanner {
     /// Samples that beat their neighbours, in order of row, and wait until all rows that the fit may look at are there.
     hits: Vec<Hit>,
     found: Vec<Extremum>,
-    bar: Bar,
+    threshold: ResponseThreshold,
 }
 
 impl Scanner {
     /// Forgets what was found.
     pub(crate) fn begin(&mut self, scan: &Scan<'_>) {
         self.found.clear();
-        self.bar.begin(scan.options.max_features, scan.weakest);
+        self.threshold
+            .begin(scan.options.max_features, scan.weakest);
     }
 
     /// What was found, and how strong it must be to count.
     pub(crate) fn found(&mut self) -> (&[Extremum], f32) {
-        (&self.found, self.bar.raise())
+        (&self.found, self.threshold.raise())
     }
 
     /// Takes row `y`, the next one; looks for extrema in the row before.
@@ -72,7 +73,7 @@ impl Scanner {
                 stride,
             };
             for (i, layer) in layers.enumerate() {
-                let threshold = LEAST_SHARE * scan.thresholds[layer].max(self.bar.weakest);
+                let threshold = LEAST_SHARE * scan.thresholds[layer].max(self.threshold.weakest);
                 scan_row(
                     s,
                     &differences,
@@ -97,7 +98,7 @@ impl Scanner {
             base: scan.base,
         };
         for hit in &self.hits[..ready] {
-            if let Some(e) = refine(s, &around, scan, *hit, &mut self.bar) {
+            if let Some(e) = refine(s, &around, scan, *hit, &mut self.threshold) {
                 self.found.push(e);
             }
         }

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::Simd;
-use crate::detect::{Bar, Extremum, Scan, Scanner};
+use crate::detect::{Extremum, ResponseThreshold, Scan, Scanner};
 use crate::scale_space::{Chain, Plane, Scratch};
 use crate::simd::at_level;
 
@@ -70,7 +70,11 @@ pub(super) fn run<'a>(
 }
 
 /// Adds what the bands of an octave have found and may be strong enough; what two samples have led to comes twice.
-pub(super) fn gather(bands: &mut [Band], found: &mut Vec<Extremum>, bar: &mut Bar) {
+pub(super) fn gather(
+    bands: &mut [Band],
+    found: &mut Vec<Extremum>,
+    threshold: &mut ResponseThreshold,
+) {
     let mut weakest = 0.0_f32;
     for band in bands.iter_mut() {
         weakest = weakest.max(band.scanner.found().1);
@@ -82,7 +86,7 @@ pub(super) fn gather(bands: &mut [Band], found: &mut Vec<Extremum>, bar: &mut Ba
             }
             found.push(*e);
             if !e.moved {
-                bar.see(e.response);
+                threshold.see(e.response);
             }
         }
     }

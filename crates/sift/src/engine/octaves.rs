@@ -7,8 +7,8 @@ use super::workspace::{Portion, Setting, Workspace};
 use crate::GrayImage;
 use crate::blur::Kernel;
 use crate::contrast::Contrast;
-use crate::detect::{Bar, Extremum, Scan};
-use crate::scale_space::{Chain, Kept, Make, Plane, Source};
+use crate::detect::{Extremum, ResponseThreshold, Scan};
+use crate::scale_space::{Chain, Kept, LevelSource, Plane, Source};
 
 /// Octaves smaller than this on either side are not searched: nothing would be left inside the detector's border.
 const MIN_OCTAVE_SIZE: usize = 12;
@@ -51,20 +51,32 @@ impl Setting<'_> {
             octaves,
             reduced,
             bands,
-            bar,
+            threshold,
             found,
             ahead: (ahead, done),
             ..
         } = work;
         let most = self.options.max_features;
-        bar.begin(most, 0.0);
+        threshold.begin(most, 0.0);
         // The finer octaves keep all threads busy; the others leave some without work, who begin with what is there.
         let fine = sizes.partition_point(|&(_, h)| h >= FEW_ROWS);
         let (fine, coarse) = octaves[..sizes.len()].split_at_mut(fine);
         let sources = (image, reduced.last());
-        self.scale_space(sources, &[], fine, bands, Some((contrast, bar, found)));
+        self.scale_space(
+            sources,
+            &[],
+            fine,
+            bands,
+            Some((contrast, threshold, found)),
+        );
         if rayon::current_num_threads() == 1 || fine.is_empty() || coarse.is_empty() {
-            self.scale_space(sources, fine, coarse, bands, Some((contrast, bar, found)));
+            self.scale_space(
+                sources,
+                fine,
+                coarse,
+                bands,
+                Some((contrast, threshold, found)),
+            );
         } else {
             let mut more = Vec::new();
             rayon::join(
@@ -74,7 +86,7 @@ impl Setting<'_> {
                         fine,
                         coarse,
                         bands,
-                        Some((contrast, bar, &mut more)),
+                        Some((contrast, threshold, &mut more)),
                     )
                 },
                 || {
@@ -124,7 +136,7 @@ impl Setting<'_> {
         finer: &[Vec<Plane>],
         octaves: &mut [Vec<Plane>],
         bands: &mut Vec<Band>,
-        mut search: Option<(&Contrast, &mut Bar, &mut Vec<Extremum>)>,
+        mut search: Option<(&Contrast, &mut ResponseThreshold, &mut Vec<Extremum>)>,
     ) {
         let options = self.options;
         for i in 0..octaves.len() {
@@ -150,7 +162,7 @@ impl Setting<'_> {
                     .collect(),
             );
             let octave = options.first_octave + index as i32;
-            let scan = search.as_mut().map(|(contrast, bar, _)| Scan {
+            let scan = search.as_mut().map(|(contrast, threshold, _)| Scan {
                 options,
                 thresholds: (0..options.intervals)
                     .map(|layer| contrast.threshold(options, octave, layer))
@@ -158,12 +170,12 @@ impl Setting<'_> {
                 octave,
                 base,
                 layers: first_layer(index)..options.intervals,
-                weakest: bar.raise(),
+                weakest: threshold.raise(),
             });
             let planes = here[0][first_kept - 1..].iter_mut().collect();
             let bands = run(self.simd, &chain, planes, bands, scan.as_ref());
-            if let Some((_, bar, found)) = &mut search {
-                gather(bands, found, bar);
+            if let Some((_, threshold, found)) = &mut search {
+                gather(bands, found, threshold);
             }
         }
     }
@@ -182,7 +194,10 @@ impl Setting<'_> {
                 level: 1,
                 halved: true,
             };
-            let chain = Chain::new(vec![Make::Taken(source), Make::Blurred(kernel)], vec![kept]);
+            let chain = Chain::new(
+                vec![LevelSource::Taken(source), LevelSource::Blurred(kernel)],
+                vec![kept],
+            );
             run(self.simd, &chain, vec![&mut from[0]], bands, None);
             blur = sigma;
         }

@@ -3,7 +3,7 @@
 use super::bands::Band;
 use crate::describe::Weights;
 use crate::descriptor::Descriptor;
-use crate::detect::{Bar, Extremum};
+use crate::detect::{Extremum, ResponseThreshold};
 use crate::scale_space::Plane;
 use crate::{Keypoint, Options, Simd};
 
@@ -17,7 +17,7 @@ pub(super) struct Workspace {
     pub(super) reduced: Vec<Plane>,
     /// One for each band of rows that runs at the same time.
     pub(super) bands: Vec<Band>,
-    pub(super) bar: Bar,
+    pub(super) threshold: ResponseThreshold,
     pub(super) found: Vec<Extremum>,
     /// Extrema that are surely among the strongest, in order of strength, and what was made of them while others were looked for.
     pub(super) ahead: (Vec<Extremum>, Vec<Portion>),

@@ -22,7 +22,7 @@ pub(super) fn seen(rows: &Range<usize>, h: usize) -> Range<usize> {
 
 /// How the rows of a level are made.
 #[derive(Debug)]
-pub(crate) enum Make<'a> {
+pub(crate) enum LevelSource<'a> {
     /// Taken as they are.
     Taken(Source<'a>),
     /// The level before, blurred.
@@ -35,7 +35,7 @@ pub(crate) enum Make<'a> {
 #[derive(Debug)]
 pub(crate) struct Chain<'a> {
     /// The first is taken from a source. All have the size of the octave, but for a level 0 that is doubled by others.
-    pub(crate) levels: Vec<Make<'a>>,
+    pub(crate) levels: Vec<LevelSource<'a>>,
     /// Columns and rows of the octave.
     pub(crate) size: (usize, usize),
     /// What is copied to planes.
@@ -59,13 +59,13 @@ impl Kept {
 
 impl<'a> Chain<'a> {
     /// `levels` as above, the size as that of the first one asks for.
-    pub(crate) fn new(levels: Vec<Make<'a>>, kept: Vec<Kept>) -> Self {
-        let Some(Make::Taken(source)) = levels.first() else {
+    pub(crate) fn new(levels: Vec<LevelSource<'a>>, kept: Vec<Kept>) -> Self {
+        let Some(LevelSource::Taken(source)) = levels.first() else {
             unreachable!("the first level of a chain is taken from a source");
         };
         let (w, h) = source.size();
         let size = match levels.get(1) {
-            Some(Make::Doubled(_)) => (2 * w - 1, 2 * h - 1),
+            Some(LevelSource::Doubled(_)) => (2 * w - 1, 2 * h - 1),
             _ => (w, h),
         };
         Self { levels, size, kept }
@@ -82,27 +82,27 @@ impl Chain<'_> {
     /// The level that `level` is made of.
     pub(super) fn below(&self, level: usize) -> Option<usize> {
         match self.levels[level] {
-            Make::Taken(_) => None,
-            Make::Blurred(_) => Some(level - 1),
-            Make::Doubled(_) => Some(0),
+            LevelSource::Taken(_) => None,
+            LevelSource::Blurred(_) => Some(level - 1),
+            LevelSource::Doubled(_) => Some(0),
         }
     }
 
     /// Whether the visitor sees this level.
     pub(super) fn is_visible(&self, level: usize) -> bool {
-        level > 0 || !matches!(self.levels.get(1), Some(Make::Doubled(_)))
+        level > 0 || !matches!(self.levels.get(1), Some(LevelSource::Doubled(_)))
     }
 
     /// The rows of the level below, not yet mirrored, that row `y` of `level` and the one after it are made of.
     pub(super) fn rows_below(&self, level: usize, y: usize) -> Range<isize> {
         let around = |y: usize, r: usize| y as isize - r as isize..(y + r) as isize + 1;
         match &self.levels[level] {
-            Make::Taken(_) => 0..0,
-            Make::Blurred(kernel) => {
+            LevelSource::Taken(_) => 0..0,
+            LevelSource::Blurred(kernel) => {
                 let one = around(y, kernel.radius());
                 one.start..one.end + 1
             }
-            Make::Doubled(kernel) => around(y / 2, kernel.radius()),
+            LevelSource::Doubled(kernel) => around(y / 2, kernel.radius()),
         }
     }
 }

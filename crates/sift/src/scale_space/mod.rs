@@ -18,7 +18,7 @@ mod ring;
 mod source;
 mod sweep;
 
-pub(crate) use chain::{Chain, Kept, Make, WINDOW};
+pub(crate) use chain::{Chain, Kept, LevelSource, WINDOW};
 pub(crate) use plane::Plane;
 pub(crate) use source::Source;
 pub(crate) use sweep::{Levels, Scratch};

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::chain::{Chain, Make, WINDOW, WINDOW_COLUMNS, seen};
+use super::chain::{Chain, LevelSource, WINDOW, WINDOW_COLUMNS, seen};
 use super::ring::Ring;
 use crate::aligned::Aligned;
 use crate::blur::{BLOCK, lead};
@@ -35,9 +35,9 @@ impl Chain<'_> {
         let mut widest = 0;
         for level in (0..rings.len()).rev() {
             let (r, scale) = match &self.levels[level] {
-                Make::Taken(_) => continue,
-                Make::Blurred(kernel) => (kernel.radius(), 1),
-                Make::Doubled(kernel) => (kernel.radius(), 2),
+                LevelSource::Taken(_) => continue,
+                LevelSource::Blurred(kernel) => (kernel.radius(), 1),
+                LevelSource::Doubled(kernel) => (kernel.radius(), 2),
             };
             widest = widest.max(r);
             let (w, h) = (w.div_ceil(scale), h.div_ceil(scale));

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use fearless_simd::Simd;
 
-use super::chain::{Chain, Make, WINDOW, seen};
+use super::chain::{Chain, LevelSource, WINDOW, seen};
 use super::ring::Ring;
 use super::source::copy_even;
 use crate::aligned::Aligned;
@@ -151,7 +151,7 @@ impl Chain<'_> {
         let y = ring.next;
         let at = [y, y + count - 1].map(|y| y % ring.kept * ring.stride);
         let Some(below) = self.below(level).map(|below| &before[below]) else {
-            if let Make::Taken(source) = &self.levels[level] {
+            if let LevelSource::Taken(source) = &self.levels[level] {
                 for y in y..y + count {
                     let at = y % ring.kept * ring.stride + (ring.columns.start - ring.origin);
                     source.row(s, y, ring.columns.clone(), &mut ring.data[at..]);
@@ -160,9 +160,9 @@ impl Chain<'_> {
             return true;
         };
         let (r, scale) = match &self.levels[level] {
-            Make::Taken(_) => return true,
-            Make::Blurred(kernel) => (kernel.radius(), 1),
-            Make::Doubled(kernel) => (kernel.radius(), 2),
+            LevelSource::Taken(_) => return true,
+            LevelSource::Blurred(kernel) => (kernel.radius(), 1),
+            LevelSource::Doubled(kernel) => (kernel.radius(), 2),
         };
         let rows = self.rows_below(level, y);
         let last = rows.end - if scale == 1 && count == 1 { 1 } else { 0 };
@@ -181,9 +181,9 @@ impl Chain<'_> {
         let (data, width) = (&below.data, to - from);
         let out = [&mut first[place..], &mut second[place..]];
         match &self.levels[level] {
-            Make::Taken(_) => {}
-            Make::Blurred(kernel) => down(s, kernel, data, starts, width, out),
-            Make::Doubled(kernel) => down_doubled(s, kernel, data, starts, width, out),
+            LevelSource::Taken(_) => {}
+            LevelSource::Blurred(kernel) => down(s, kernel, data, starts, width, out),
+            LevelSource::Doubled(kernel) => down_doubled(s, kernel, data, starts, width, out),
         }
         for (padded, at) in [first, second].into_iter().zip(at).take(count) {
             let pixel = |column: isize| mirrored(column, w) - from + place;
@@ -195,9 +195,11 @@ impl Chain<'_> {
             }
             let out = &mut ring.data[at + (ring.columns.start - ring.origin)..];
             match &self.levels[level] {
-                Make::Taken(_) => {}
-                Make::Blurred(kernel) => along(s, kernel, padded, ring.columns.len(), out),
-                Make::Doubled(kernel) => along_doubled(s, kernel, padded, ring.columns.len(), out),
+                LevelSource::Taken(_) => {}
+                LevelSource::Blurred(kernel) => along(s, kernel, padded, ring.columns.len(), out),
+                LevelSource::Doubled(kernel) => {
+                    along_doubled(s, kernel, padded, ring.columns.len(), out)
+                }
             }
         }
         true

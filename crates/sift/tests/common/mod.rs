@@ -65,7 +65,7 @@ impl Scene {
         }
     }
 
-    /// Picture in which pixel p shows the place `place(p)`, each spot reaching 5.5 sigma.
+    /// Image in which pixel p shows the place `place(p)`, each spot reaching 5.5 sigma.
     pub(crate) fn render(
         &self,
         w: usize,

@@ -15,7 +15,7 @@ pub fn save(dir: &Path, name: &str, image: &DynamicImage, format: ImageFormat) -
     path
 }
 
-/// A picture with something different at every pixel.
+/// An image with something different at every pixel.
 pub fn rgb_at(x: u32, y: u32) -> [u8; 3] {
     [(x * 7 + y) as u8, (y * 5) as u8, (x ^ y) as u8]
 }

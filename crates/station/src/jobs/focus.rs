@@ -1,4 +1,4 @@
-//! An objective in the beam, brought into focus.
+//! An active objective, brought into focus.
 
 use crate::{JobError, UseCase, Work};
 use scopeservo_scope::{Axis, Length, ObjectiveId, StagePose};
@@ -9,20 +9,20 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FocusInput {
-    /// The objective; the one in the beam when none is named.
+    /// The objective; the active one when none is named.
     pub objective: Option<ObjectiveId>,
     /// A height to go to first, um, for a stage that was left retracted.
     pub near_z_um: Option<f64>,
     /// How to focus.
     pub focus: FocusOptions,
-    /// How to look, where a picture has to show which objective is in.
+    /// How to look, where an image has to show which objective is in.
     pub vision: VisionOptions,
 }
 
 /// What was found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FocusOutput {
-    /// The objective in the beam.
+    /// The active objective.
     pub objective: ObjectiveId,
     /// Where it is in focus.
     pub result: FocusResult,

@@ -1,4 +1,4 @@
-//! Which objective is in the beam, asked of the picture by a small move. The view must be in focus.
+//! Which objective is active, asked of the image by a small move. The view must be in focus.
 
 use crate::{JobError, UseCase, Work};
 use scopeservo_scope::ObjectiveId;
@@ -9,18 +9,18 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct IdentifyInput {
-    /// The objective that should be there; the one that is said to be in the beam when none is named.
+    /// The objective that should be there; the one that is said to be active when none is named.
     pub objective: Option<ObjectiveId>,
     /// How to look.
     pub vision: VisionOptions,
 }
 
-/// What the picture tells.
+/// What the image tells.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IdentifyOutput {
     /// The objective that should be there.
     pub objective: ObjectiveId,
-    /// What the picture tells.
+    /// What the image tells.
     pub identity: Identity,
 }
 

@@ -31,7 +31,7 @@ pub struct RepositionOutput {
     pub counters: Counters,
 }
 
-/// The job. Its stored state holds neither the target nor its picture: see [`RepositionJob::with_target`].
+/// The job. Its stored state holds neither the target nor its image: see [`RepositionJob::with_target`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RepositionJob {
     target_id: String,

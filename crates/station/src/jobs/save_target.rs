@@ -13,7 +13,7 @@ use std::sync::Arc;
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SaveTargetInput {
-    /// The objective; the one in the beam when none is named.
+    /// The objective; the active one when none is named.
     pub objective: Option<ObjectiveId>,
     /// How to focus first; `None` where the view is in focus.
     pub focus: Option<FocusOptions>,
@@ -34,7 +34,7 @@ pub struct SaveTargetOutput {
     pub target: Target,
     /// Where the stage stood.
     pub stage: StagePose,
-    /// Its picture, to be kept; it stays in this process.
+    /// Its image, to be kept; it stays in this process.
     #[serde(skip)]
     pub frame: Option<Arc<Frame>>,
 }

@@ -4,7 +4,7 @@
 
 #![expect(
     clippy::print_stdout,
-    reason = "a study prints its results, and its pictures to its peers"
+    reason = "a study prints its results, and its images to its peers"
 )]
 
 mod measure;

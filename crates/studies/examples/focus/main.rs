@@ -1,4 +1,4 @@
-//! Autofocus from random starts: specimens, noise, play, every objective.
+//! Autofocus from random starts: specimens, noise, backlash, every objective.
 //!
 //! `cargo run --release -p scopeservo-studies --example focus -- --count 1500`
 //!

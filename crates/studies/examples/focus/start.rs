@@ -69,7 +69,7 @@ impl Record {
         self.answer == "focused" && self.end_um.abs() <= 0.25 * self.depth_um
     }
 
-    /// Whether a failure left the stage nearer to the specimen, or worse off. What play leaves is away from the specimen.
+    /// Whether a failure left the stage nearer to the specimen, or worse off. What backlash leaves is away from the specimen.
     pub(crate) fn is_harmed(&self) -> bool {
         self.answer != "focused" && self.end_um > self.start_um + 0.5
     }

@@ -57,8 +57,8 @@ pub(crate) fn print(records: &[Record], blank: bool) -> usize {
     }
     row("noise up to 0.5 %", &of(&|r| r.noise <= 0.005));
     row("noise above 0.5 %", &of(&|r| r.noise > 0.005));
-    row("play up to 2 um", &of(&|r| r.play_um <= 2.0));
-    row("play above 2 um", &of(&|r| r.play_um > 2.0));
+    row("backlash up to 2 um", &of(&|r| r.play_um <= 2.0));
+    row("backlash above 2 um", &of(&|r| r.play_um > 2.0));
     row("beyond 50 um", &of(&|r| r.start_um.abs() > 50.0));
     let harmed = of(&Record::is_harmed).len();
     println!("\n{harmed} failures left the stage nearer to the specimen");

@@ -8,7 +8,7 @@ use scopeservo_registration::{Allow, Options, PictureVerdict, Prior, register_pi
 use scopeservo_scope::Frame;
 use scopeservo_twin::Truth;
 
-/// Where the view's centre lies in the target, its sigma in px and the agreeing places; or why it is not told.
+/// Where the view's centre lies in the target, its sigma in px and the inliers; or why it is not told.
 type Found = Result<([f64; 2], f64, usize), String>;
 
 /// One look, with the program's defaults.

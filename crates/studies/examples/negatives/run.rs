@@ -42,7 +42,7 @@ pub(crate) struct Record {
     pub(crate) true_deg: Option<f64>,
     /// How far it says it is.
     pub(crate) claimed_um: Option<f64>,
-    /// Agreeing places at the end.
+    /// Inliers at the end.
     pub(crate) inliers: Option<usize>,
     /// Of the run, without saving.
     pub(crate) moves: u64,

@@ -39,7 +39,7 @@ pub(super) fn of_cell(
         .filter(move |(id, _)| id.scene.zoom == zoom && id.condition == condition)
 }
 
-/// The same two pictures went to every method.
+/// The same two images went to every method.
 ///
 /// # Errors
 /// Names the first pair whose frames differ.

@@ -64,7 +64,7 @@ impl Condition {
     }
 }
 
-/// What is done to one picture, in the order of the fields: optics, light, dirt, sensor.
+/// What is done to one image, in the order of the fields: optics, light, dirt, sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Degradation {
     /// Gaussian sigma, pixels; 0 for none.
@@ -92,8 +92,8 @@ impl Degradation {
         noise_sigma: CAMERA_NOISE,
     };
 
-    /// Draws what `condition` asks for. `common(rng)` gives a point of the picture that the other picture shows too: the
-    /// square lies around such a point, wholly in the picture.
+    /// Draws what `condition` asks for. `common(rng)` gives a point of the image that the other image shows too: the
+    /// square lies around such a point, wholly in the image.
     pub fn draw(
         condition: Condition,
         rng: &mut SplitMix64,
@@ -126,10 +126,10 @@ impl Degradation {
         d
     }
 
-    /// The camera's 8-bit frame of a picture of grey 0 to 1 with the size [`SIZE`].
+    /// The camera's 8-bit frame of an image of grey 0 to 1 with the size [`SIZE`].
     pub fn frame(&self, clean: &[f64], rng: &mut SplitMix64) -> Vec<u8> {
         let [w, h] = SIZE;
-        assert_eq!(clean.len(), w * h, "a picture has the size of a frame");
+        assert_eq!(clean.len(), w * h, "an image has the size of a frame");
         let sharp;
         let picture = if self.blur_sigma_px > 0.0 {
             sharp = blurred(clean, self.blur_sigma_px);

@@ -149,7 +149,7 @@ impl Setting {
     }
 }
 
-/// Engines for each look, kept from picture to picture.
+/// Engines for each look, kept from image to image.
 #[derive(Default)]
 struct Engines(BTreeMap<Look, Sift>);
 

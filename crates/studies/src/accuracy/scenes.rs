@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Changes whenever the same seed gives other pictures; results of different sets are not mixed.
+/// Changes whenever the same seed gives other images; results of different sets are not mixed.
 const SET: &str = "1";
 /// The name of the set of pairs that a seed gives.
 pub fn set_name(seed: u64) -> String {

@@ -85,7 +85,7 @@ impl Sensor {
         Arc::new(window)
     }
 
-    /// Reads the picture out.
+    /// Reads the image out.
     pub(crate) fn develop(
         &self,
         light: &Planes,

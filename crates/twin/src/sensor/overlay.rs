@@ -1,10 +1,10 @@
-//! What a camera or its program writes into a picture after the read-out.
+//! What a camera or its program writes into an image after the read-out.
 
 use crate::camera_config::{CameraConfig, Mark};
 use crate::font;
 use scopeservo_scope::{Axis, StagePose};
 
-/// Writes every line of text into the numbers of a picture. `place` is what the stage reports.
+/// Writes every line of text into the numbers of an image. `place` is what the stage reports.
 pub(super) fn write(config: &CameraConfig, top: u16, place: &StagePose, levels: &mut [u16]) {
     for mark in &config.marks {
         let (said, at_px, dot_px, level, box_level) = match mark {

@@ -1,4 +1,4 @@
-//! What each pixel does to every picture.
+//! What each pixel does to every image.
 
 use super::normal::normal_table;
 use crate::camera_config::{CameraConfig, PatternConfig};

@@ -14,7 +14,7 @@ fn plain_optics() -> ObjectiveConfig {
     optics
 }
 
-/// A picture of even light, the stage at `x_um`.
+/// An image of even light, the stage at `x_um`.
 fn shown(sensor: &Sensor, value: f32, ms: f64, lit: bool, sequence: u64, x_um: f64) -> Samples {
     let exposure = Exposure {
         ms,
@@ -215,7 +215,7 @@ fn speck(radius_px: f64, steepness: i32) -> DustConfig {
 fn dust_has_the_size_depth_and_edge_that_are_asked() {
     let clean = shares(&Sensor::new(&silent(), 1), 0.0);
     for (radius_px, steepness) in [(2.0, 60), (12.0, 60), (12.0, 3), (20.0, 1)] {
-        // Seeds whose speck lies whole in the picture.
+        // Seeds whose speck lies whole in the image.
         let picture = (1..)
             .map(|seed| {
                 let config = CameraConfig {

@@ -214,7 +214,7 @@ fn halve_into(fine: &[u8], side: usize, coarse: &mut [u8], [x, y]: [usize; 2]) {
     }
 }
 
-/// Copies the part of a tile of `side` that falls into a picture when its first sample lies at (x, y).
+/// Copies the part of a tile of `side` that falls into an image when its first sample lies at (x, y).
 fn copy_overlap(
     tile: &[u8],
     side: usize,

@@ -57,15 +57,15 @@ pub enum Check {
         /// How long, s.
         exposure_s: Option<f64>,
     },
-    /// A picture is taken; told when it is not.
+    /// An image is taken; told when it is not.
     Picture,
-    /// How bright the picture is.
+    /// How bright the image is.
     Light {
         /// Mean of all samples, a share of full scale.
         mean: f64,
         /// Share of samples at full scale.
         saturated: f64,
-        /// How long the picture took, s.
+        /// How long the image took, s.
         taken_s: f64,
     },
     /// There is something to see.
@@ -80,9 +80,9 @@ pub enum Check {
         /// Pixels of the view a second.
         px_per_s: Option<f64>,
     },
-    /// The picture moves as far as the stage says.
+    /// The image moves as far as the stage says.
     Scale {
-        /// The objective that is said to be in the beam; `None` when that could not be asked.
+        /// The objective that is said to be active; `None` when that could not be asked.
         objective: Option<ObjectiveId>,
         /// Size of a pixel, um, by the stage's report.
         um_per_px: Option<f64>,
@@ -108,9 +108,9 @@ pub enum Trouble {
     },
     /// The stage moves although nobody asked it to.
     MovesUnasked,
-    /// Too much of the picture is at full scale.
+    /// Too much of the image is at full scale.
     TooBright,
-    /// Next to nothing of the picture is lit.
+    /// Next to nothing of the image is lit.
     Dark,
     /// Too few features to calibrate on or to come back to.
     TooLittle,

@@ -1,4 +1,4 @@
-//! What can be seen of an instrument: by asking its devices, by pictures, and by small moves.
+//! What can be seen of an instrument: by asking its devices, by images, and by small moves.
 
 use super::finding::{Check, Finding, Trouble};
 use scopeservo_features::{Engine, FeatureError, GrayImage};
@@ -11,7 +11,7 @@ const LOOKED_FOR: usize = 2000;
 const ENOUGH_FEATURES: usize = 100;
 /// A larger share of samples at full scale hides what is there.
 const MOST_SATURATED: f64 = 0.2;
-/// A smaller share of samples above a twentieth of full scale is a dark picture. Fluorescence is dark but for a few places.
+/// A smaller share of samples above a twentieth of full scale is a dark image. Fluorescence is dark but for a few places.
 const LEAST_LIT: f64 = 1e-3;
 /// A view that moves by more than this many of its pixels in a second is nothing to come back to: half of what counts as arrived.
 const DRIFTS_PX_PER_S: f64 = 0.4;
@@ -139,7 +139,7 @@ fn is_retracted(scope: &Instrument) -> bool {
         && gate.at_work().is_ok_and(|work| work.is_none())
 }
 
-/// What only pictures tell about a stage: whether the view stands, and whether the picture moves as far as the stage says. The stage moves
+/// What only images tell about a stage: whether the view stands, and whether the image moves as far as the stage says. The stage moves
 /// a little and comes back. `false` as second when it must not move any farther.
 pub fn look_by_small_moves(scope: &Instrument) -> (Vec<Finding>, bool) {
     let vision = VisionOptions::default();

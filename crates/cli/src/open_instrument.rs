@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 use std::time::Duration;
 
 /// What a command works at.
-pub(crate) struct Desk {
+pub(crate) struct OpenInstrument {
     pub(crate) config: Config,
     pub(crate) library: Arc<Folder>,
     pub(crate) scope: Arc<Instrument>,
@@ -31,9 +31,9 @@ pub(crate) struct Desk {
 
 /// What Ctrl-C stops; nothing until an instrument is there.
 #[derive(Clone, Default)]
-pub(crate) struct Reins(Arc<Mutex<Weak<Instrument>>>);
+pub(crate) struct StopHandle(Arc<Mutex<Weak<Instrument>>>);
 
-impl Reins {
+impl StopHandle {
     /// From now on it stops this one.
     pub(crate) fn hold(&self, scope: &Arc<Instrument>) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(scope);
@@ -49,9 +49,9 @@ impl Reins {
 const IMPATIENT: u32 = 3;
 
 /// From now on Ctrl-C cancels, and stops what moves.
-pub(crate) fn rein_in(cancel: &CancelToken, answer: &Answer) -> Reins {
-    let reins = Reins::default();
-    let (wish, held, leaving) = (cancel.clone(), reins.clone(), answer.clone());
+pub(crate) fn stop_on_interrupt(cancel: &CancelToken, answer: &Answer) -> StopHandle {
+    let stop = StopHandle::default();
+    let (wish, held, leaving) = (cancel.clone(), stop.clone(), answer.clone());
     let mut asked = 0;
     answer.on_interrupt(move || {
         asked += 1;
@@ -81,16 +81,16 @@ pub(crate) fn rein_in(cancel: &CancelToken, answer: &Answer) -> Reins {
             tell!("scopeservo: the instrument did not take the stop: {error}");
         }
     });
-    reins
+    stop
 }
 
-impl Desk {
+impl OpenInstrument {
     pub(crate) fn open(args: &InstrumentArgs, answer: &Answer) -> Result<Self, CliError> {
         let config = Config::read(&args.description.config)?;
         let held = Held::data(&config)?;
         let library = Arc::new(Folder::new(config.resolve(&config.data_folder)));
         let cancel = CancelToken::new();
-        let reins = rein_in(&cancel, answer);
+        let stop = stop_on_interrupt(&cancel, answer);
         let consent = Consent {
             home: args.home,
             ask: Arc::new(ask),
@@ -101,7 +101,7 @@ impl Desk {
             ..
         } = connect(&config, &consent, cancel)?;
         let scope = Arc::new(instrument);
-        reins.hold(&scope);
+        stop.hold(&scope);
         // What lay on the camera when it was seen last.
         let info = scope.camera().info();
         let seen = library.shadows(&config.name, [info.width, info.height]);

@@ -5,7 +5,7 @@
 /// The answer only leaves out what the final choice would leave out too, so it does not matter in which order, or in how many
 /// parts, the extrema come.
 #[derive(Debug, Default)]
-pub(crate) struct Bar {
+pub(crate) struct ResponseThreshold {
     /// As many extrema as are wanted.
     wanted: usize,
     pub(super) weakest: f32,
@@ -13,7 +13,7 @@ pub(crate) struct Bar {
     above: Vec<f32>,
 }
 
-impl Bar {
+impl ResponseThreshold {
     /// Forgets what it has seen; extrema below `weakest` do not count.
     pub(crate) fn begin(&mut self, wanted: usize, weakest: f32) {
         (self.wanted, self.weakest) = (wanted, weakest);
@@ -31,7 +31,7 @@ impl Bar {
         }
     }
 
-    /// The bar as high as what was seen allows.
+    /// The threshold as high as what was seen allows.
     pub(crate) fn raise(&mut self) -> f32 {
         if self.above.len() >= self.wanted {
             let last = self.wanted - 1;

@@ -50,7 +50,7 @@ def _declared(condition: bool, what: str) -> None:
         raise ValueError(what)
 
 
-class StagePart:
+class StageAdapter:
     """The calls of a stage."""
 
     starts = ("move", "home")
@@ -156,7 +156,7 @@ class StagePart:
         return Reply()
 
 
-class NosepiecePart:
+class NosepieceAdapter:
     """The calls of a nosepiece."""
 
     starts = ("change",)
@@ -203,7 +203,7 @@ class NosepiecePart:
         return Reply()
 
 
-class CameraPart:
+class CameraAdapter:
     """The calls of a camera."""
 
     starts = ()
@@ -262,7 +262,7 @@ class CameraPart:
         return Reply(said, samples, called_s if frame.began_s is None else frame.began_s)
 
 
-class LightPart:
+class LightAdapter:
     """The call of a light."""
 
     starts = ()
@@ -284,4 +284,4 @@ class LightPart:
         return Reply({"level": _finite(self.device.get_level(), "level")})
 
 
-Part = StagePart | NosepiecePart | CameraPart | LightPart
+Adapter = StageAdapter | NosepieceAdapter | CameraAdapter | LightAdapter
