@@ -21,6 +21,8 @@ const EXPECTED: u8 = 2;
 const FINER: usize = 2;
 /// So often a level is looked at.
 const TIMES: u8 = 3;
+/// Where nothing is seen at all, the heights come no closer together than so many in the range.
+const MOST_HEIGHTS: f64 = 40.0;
 /// A height is not looked at again where a sample lies nearer than this share of the step.
 const SEEN: f64 = 0.3;
 /// A peak known worse than to this share of the depth of field is looked at once more between the samples.
@@ -162,10 +164,13 @@ impl Focus {
         }
         // A weak stain shows nothing as far away as a coarse level sees: closer together then.
         while self.outwards_um.is_empty() {
-            let Some(start) = self.start_um.filter(|_| self.spaced_by > FINER) else {
+            let finer = self.spaced_by.saturating_sub(1);
+            let heights = 2.0 * self.options.half_range_um / self.width_um(finer);
+            let worth = finer >= FINER && heights <= MOST_HEIGHTS;
+            let Some(start) = self.start_um.filter(|_| worth) else {
                 return Ok(Decision::Nothing);
             };
-            self.spaced_by -= 1;
+            self.spaced_by = finer;
             self.outwards_um = self.rings(scope, start)?;
         }
         self.plan_um = vec![self.outwards_um.remove(0)];
