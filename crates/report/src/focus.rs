@@ -18,8 +18,8 @@ pub(crate) fn section(r: &Report<'_>) -> String {
             .into();
     }
     let mut out = String::from(
-        "<p class=\"lead\">Sharpness (root mean square of the smoothed Laplacian over the mean brightness, the noise taken off) at every height that was tried; the ring is where the focus was \
-         taken.</p>\n<div class=\"plots\">\n",
+        "<p class=\"lead\">Sharpness (size of fine detail over the mean brightness, the noise taken off) at every focus position that was tried; the \
+         ring is where the focus was taken.</p>\n<div class=\"plots\">\n",
     );
     for sweep in swept {
         out.push_str(&figure(sweep));
@@ -30,21 +30,23 @@ pub(crate) fn section(r: &Report<'_>) -> String {
 
 fn figure(sweep: &Sweep<'_>) -> String {
     let objective = sweep.objective.map_or("", |o| &o.0);
-    let mut c = Canvas::new(220.0, &format!("Sharpness against height at {objective}"));
+    let mut c = Canvas::new(
+        220.0,
+        &format!("Sharpness against focus position at {objective}"),
+    );
     // In thousandths: short labels.
-    let points: Vec<_> = sweep.samples.iter().map(|s| [s[0], s[1] * 1e3]).collect();
+    let mut points: Vec<_> = sweep.samples.iter().map(|s| [s[0], s[1] * 1e3]).collect();
+    // A search goes to and fro: the curve is told by position.
+    points.sort_by(|a, b| a[0].total_cmp(&b[0]));
     let p = Panel::wide(
         24.0,
         156.0,
         Scale::linear(points.iter().map(|s| s[0])),
         Scale::linear(points.iter().map(|s| s[1]).chain([0.0])),
     );
-    p.axes(&mut c, "height, µm", "sharpness × 1000");
-    // A pass goes up; a step down starts the next one.
-    for pass in points.chunk_by(|a, b| b[0] >= a[0]) {
-        p.line(&mut c, "faint", pass);
-        p.marks(&mut c, "focus", Mark::Dot, pass);
-    }
+    p.axes(&mut c, "focus position z, µm", "sharpness × 1000");
+    p.line(&mut c, "faint", &points);
+    p.marks(&mut c, "focus", Mark::Dot, &points);
     let caption = match sweep.result {
         Some(f) => {
             if let Some(z) = f.z_um {
@@ -59,8 +61,10 @@ fn figure(sweep: &Sweep<'_>) -> String {
                 c.mark("ink", Mark::Ring, x, y);
             }
             format!(
-                "focus at {}; sharpness varies by a factor of {} over {}.",
+                "focus at {}{}; sharpness varies by a factor of {} over {}.",
                 f.z_um.map_or("–".into(), |z| format!("{} µm", fixed(z, 2))),
+                f.sigma_um
+                    .map_or(String::new(), |s| format!(" (±{})", fixed(s, 2))),
                 fixed(f.contrast, 2),
                 count(f.samples, "frame")
             )

@@ -104,7 +104,7 @@ fn an_arrival_shows_everything() {
             ),
             format!("aria-label=\"Path of the view&#39;s centre over the specimen at {objective}"),
             format!("<b>{objective} to 400x.</b>"),
-            format!("aria-label=\"Sharpness against height at {objective}\""),
+            format!("aria-label=\"Sharpness against focus position at {objective}\""),
             format!("Displacements of the image in the calibration views of {objective}"),
         ] {
             assert!(shown.contains(&figure), "{figure}");

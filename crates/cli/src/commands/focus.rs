@@ -57,7 +57,10 @@ fn show(answer: &Answer, FocusOutput { objective, result }: &FocusOutput) {
     match result.z_um {
         Some(z) => say!(
             answer,
-            "{objective} is in focus at z = {z:.2} um (sharpness {:.4}, {:.1} times the least seen, {} images)",
+            "{objective} is in focus at z = {z:.2} um{} (sharpness {:.4}, {:.1} times the least seen, {} images)",
+            result
+                .sigma_um
+                .map_or(String::new(), |sigma| format!(" +-{sigma:.2}")),
             result.sharpness,
             result.contrast,
             result.samples
