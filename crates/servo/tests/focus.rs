@@ -3,9 +3,9 @@
 mod common;
 
 use common::{Bench, bench_over, one_objective};
-use scopeservo_scope::{Axis, StagePose};
+use scopeservo_scope::{Axis, AxisRange, Instrument, Limits, Rules, StagePose};
 use scopeservo_servo::{
-    Focus, FocusOptions, FocusResult, NoSink, Procedure, Progress, ServoError, run,
+    ErrorCode, Focus, FocusOptions, FocusResult, NoSink, Procedure, Progress, ServoError, run,
 };
 use scopeservo_twin::specimen::Specimen;
 use scopeservo_twin::{Blank, Config, DustConfig, Mark, PatternConfig, Sparse, SparseConfig};
@@ -130,6 +130,55 @@ fn of_ordinary_tissue_the_whole_picture_counts() {
         }
         assert!(bench.twin.truth_now().defocus_um.abs() < 4.0);
     }
+}
+
+/// Where limits, or the range that is asked for, end before the focus.
+#[test]
+fn a_focus_beyond_where_the_stage_may_go_is_told_and_the_stage_is_back() {
+    let tissue = || Arc::new(scopeservo_twin::specimen::Tissue::new(7));
+    let z_um = |bench: &Bench| bench.scope.gate().position().unwrap().z.unwrap().um();
+    let free = bench_over(one_objective(), tissue(), Vec::new());
+    put_out_of_focus(&free, 0.0);
+    let sharp_um = z_um(&free);
+    // Positive z is nearer to the specimen. From far a limit ends the search, from too near the range that is asked for.
+    for (start_um, limit_um, half_range_um) in [(-60.0, -12.0, 200.0), (40.0, 400.0, 31.0)] {
+        let range = AxisRange {
+            axis: Axis::Z,
+            min: -3e-3,
+            max: (sharp_um + limit_um) * 1e-6,
+        };
+        let bench = bench_over(one_objective(), tissue(), vec![]);
+        put_out_of_focus(&bench, start_um);
+        let bench = Bench {
+            scope: limited(&bench, range),
+            ..bench
+        };
+        let began = z_um(&bench);
+        let options = FocusOptions {
+            half_range_um,
+            ..FocusOptions::default()
+        };
+        let objective = bench.scope.gate().objectives()[0].clone();
+        let mut focus = Focus::new(objective, options);
+        let told = run(&mut focus, &bench.scope, &mut NoSink);
+        assert!(
+            matches!(told, Err(ServoError::FocusAtLimit { .. })),
+            "{start_um}: {told:?}"
+        );
+        assert_eq!(told.unwrap_err().code(), ErrorCode::AtLimit);
+        assert!((z_um(&bench) - began).abs() < 0.3);
+    }
+}
+
+/// The same instrument with a limit.
+fn limited(bench: &Bench, range: AxisRange) -> Instrument {
+    let rules = Rules {
+        limits: Limits {
+            ranges: vec![range],
+        },
+        ..bench.twin.rules()
+    };
+    Instrument::new(bench.twin.devices(), rules, bench.cancel.clone()).unwrap()
 }
 
 #[test]
