@@ -10,6 +10,31 @@ use scopeservo_scope::{
 use std::sync::Arc;
 
 #[test]
+fn a_place_within_the_slack_is_inside_for_the_objective_that_comes_and_goals_are_judged_to_the_last_bit()
+ {
+    let devices = Devices::new();
+    let gate = devices.gate(rules());
+    let settle = || (0..8).for_each(|_| devices.world().tick());
+    // 10x may go there; 40x only to 3 mm, and the stage repeats to less than a micrometre.
+    let beside = NARROW_X + 0.9e-6;
+    gate.start_move(&pose([beside, 0.0, RETRACTED])).unwrap();
+    settle();
+    gate.start_change(&id("40x")).unwrap();
+    settle();
+    for by in [0.95e-6, 0.8e-6, 1e-9] {
+        let beyond = gate.start_move(&pose([NARROW_X + by, 0.0, RETRACTED]));
+        assert!(
+            matches!(beyond, Err(ScopeError::OutsideLimits { axis: Axis::X, .. })),
+            "{beyond:?}"
+        );
+    }
+    gate.start_move(&pose([NARROW_X, 0.0, RETRACTED])).unwrap();
+    settle();
+    let broken = devices.world().broken.clone();
+    assert!(broken.is_empty(), "{broken:?}");
+}
+
+#[test]
 fn each_refusal_says_which_rule_and_what_to_do() {
     let devices = Devices::new();
     let gate = devices.gate(rules());

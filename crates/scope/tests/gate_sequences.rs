@@ -3,7 +3,7 @@
 mod recorder;
 
 use proptest::prelude::*;
-use proptest::test_runner::{Config, TestRunner};
+use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use recorder::{
     AXES, CLAMP, CLAMP_Z, Devices, Fault, LIMIT, NARROW, OBJECTIVES, RETRACTED, SLACK, TRAVEL,
     Ticking, id, pose, rules, z,
@@ -141,11 +141,18 @@ fn obey(gate: &MotionGate, devices: &Devices, command: &Command) {
 fn no_sequence_of_commands_and_faults_breaks_a_rule() {
     let cases = std::env::var("SCOPESERVO_GATE_CASES");
     let cases = cases.ok().and_then(|n| n.parse().ok()).unwrap_or(100_000);
-    let mut runner = TestRunner::new(Config {
+    // Others with `SCOPESERVO_GATE_SEED`.
+    let seed = std::env::var("SCOPESERVO_GATE_SEED");
+    let seed: u64 = seed.ok().and_then(|n| n.parse().ok()).unwrap_or(1);
+    let mut bytes = [0; 32];
+    bytes[..8].copy_from_slice(&seed.to_le_bytes());
+    let config = Config {
         cases,
         failure_persistence: None,
         ..Config::default()
-    });
+    };
+    let rng = TestRng::from_seed(RngAlgorithm::ChaCha, &bytes);
+    let mut runner = TestRunner::new_with_rng(config, rng);
     let sequences = prop::collection::vec(command(), 1..40);
     let answer = runner.run(&sequences, |commands| {
         let devices = Devices::new();
