@@ -147,7 +147,7 @@ class Session:
 
     def _pass_on(self, request: Request) -> None:
         device = DEVICE_OF_CALL[request.call]
-        if device not in self._instrument.parts:
+        if device not in self._instrument.adapters:
             raise Unsupported(f"this driver has no {device}")
         stops_seen = self._instrument.stops_so_far()
         self._instrument.workers[device].do(lambda: self._answer(device, request, stops_seen))
