@@ -105,7 +105,7 @@ impl Focus {
                 return Ok(Progress::Continue);
             }
         }
-        match self.decide(scope, start_um)? {
+        match self.decide(scope)? {
             search::Decision::Look => Ok(Progress::Continue),
             search::Decision::Nothing => {
                 scope.return_to_height(Length::from_um(start_um))?;

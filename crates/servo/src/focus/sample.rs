@@ -162,8 +162,8 @@ pub(crate) fn constant(
 mod tests {
     use super::*;
     use crate::focus::measure::Measure;
+    use crate::focus::sharpness::tests::{frame, frame_of};
     use scopeservo_geometry::SplitMix64;
-    use scopeservo_scope::{Channels, Samples, Timestamp};
 
     fn seen(frame: &Frame) -> Sample {
         Sample::of(frame, 0.0, Measure::Laplacian.measure(), 1)
@@ -172,23 +172,6 @@ mod tests {
     fn left_out(sweep: &[Sample]) -> Vec<usize> {
         let cells: Vec<&Cells> = sweep.iter().map(|s| &s.levels[0]).collect();
         constant(&cells, 1.08, 5.68, 1.0)
-    }
-
-    fn frame_of(width: usize, height: usize, f: impl FnMut(usize) -> u8) -> Frame {
-        Frame {
-            width,
-            height,
-            channels: Channels::Gray,
-            bit_depth: 8,
-            samples: Samples::U8((0..width * height).map(f).collect()),
-            sequence: 0,
-            exposure_start: Timestamp::default(),
-            exposure: std::time::Duration::from_millis(10),
-        }
-    }
-
-    fn frame(f: impl Fn(usize, usize) -> u8) -> Frame {
-        frame_of(32, 24, |i| f(i % 32, i / 32))
     }
 
     /// Blank glass with noise of a standard deviation, and marks: rows of hard dots on some of the image. What else there is in a cell is

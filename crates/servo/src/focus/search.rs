@@ -117,11 +117,7 @@ impl Focus {
     }
 
     /// Decides on what was seen so far.
-    pub(super) fn decide(
-        &mut self,
-        scope: &Instrument,
-        _start_um: f64,
-    ) -> Result<Decision, ServoError> {
+    pub(super) fn decide(&mut self, scope: &Instrument) -> Result<Decision, ServoError> {
         match self.step {
             Step::Outwards => self.outwards(scope),
             Step::Closer { level, times } => self.closer(scope, level, times),
@@ -304,13 +300,16 @@ impl Focus {
         // Two samples on either side of the sharpest: a peak that is seen from one side only is known badly.
         let reach = 2.0 * FINE * self.width_um(level) + 1e-3;
         let near: Vec<Point> = curve.within(top, reach);
-        let missing = |side: f64, end: f64| {
-            let seen = near.iter().filter(|p| (p.z_um - top) * side > 0.1 * step);
-            (1..=2usize.saturating_sub(seen.count()))
+        let [below, above] = [-1.0, 1.0].map(|side| {
+            let beside = |p: &&Point| (p.z_um - top) * side > 0.1 * step;
+            near.iter().filter(beside).count()
+        });
+        let missing = |seen: usize, side: f64, end: f64| {
+            (1..=2usize.saturating_sub(seen))
                 .map(|k| end + side * k as f64 * step)
                 .collect::<Vec<f64>>()
         };
-        let beyond = [missing(-1.0, least), missing(1.0, most)].concat();
+        let beyond = [missing(below, -1.0, least), missing(above, 1.0, most)].concat();
         if !beyond.is_empty() {
             if expected && continued >= EXPECTED {
                 // It lies elsewhere than it was.
@@ -327,10 +326,6 @@ impl Focus {
                 return Ok(Decision::Look);
             }
         }
-        let [below, above] = [-1.0, 1.0].map(|side| {
-            let beside = |p: &&Point| (p.z_um - top) * side > 0.1 * step;
-            near.iter().filter(beside).count()
-        });
         if curve.bracketed(self.contrast()).is_none() || below == 0 || above == 0 {
             return self.refuted(scope);
         }

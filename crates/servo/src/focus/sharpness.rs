@@ -25,11 +25,12 @@ pub fn sharpness(frame: &Frame) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use scopeservo_scope::{Channels, Samples, Timestamp};
 
-    fn frame_of(width: usize, height: usize, f: impl FnMut(usize) -> u8) -> Frame {
+    /// A grey frame of 8 bits, pixel by pixel in order.
+    pub(crate) fn frame_of(width: usize, height: usize, f: impl FnMut(usize) -> u8) -> Frame {
         Frame {
             width,
             height,
@@ -42,7 +43,8 @@ mod tests {
         }
     }
 
-    fn frame(f: impl Fn(usize, usize) -> u8) -> Frame {
+    /// A small one, by column and row.
+    pub(crate) fn frame(f: impl Fn(usize, usize) -> u8) -> Frame {
         frame_of(32, 24, |i| f(i % 32, i / 32))
     }
 
