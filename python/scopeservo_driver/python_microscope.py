@@ -67,8 +67,12 @@ class MicroscopeStage(BlockingStage):
         begin = self.position()
         farthest_um = max(abs(goal[field] - begin[field]) for field in goal)
         steps = max(1, -int(-farthest_um // self._step_um))
+        target: dict[str, float] = {}
         for step in range(1, steps + 1):
             if self.background.stop_asked.is_set():
+                # Near the end of a step is not yet still.
+                if target:
+                    self._wait_for(target, ARRIVED_UM)
                 return
             if step == steps:
                 target = dict(goal)

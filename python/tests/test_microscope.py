@@ -93,13 +93,13 @@ class PythonMicroscope(unittest.TestCase):
     def test_stop_during_a_long_exposure(self) -> None:
         client = self.start("--image", str(self.image))
         client.hello()
-        self.assertEqual(client.do("exposure", exposure_ms=1000)["exposure_ms"], 1000)
+        self.assertEqual(client.do("exposure", exposure_ms=3000)["exposure_ms"], 3000)
         grabbed = client.send("grab")
         time.sleep(0.2)
         asked_s = time.monotonic()
         client.do("stop")
-        self.assertLess(time.monotonic() - asked_s, 0.2)
-        self.assertGreaterEqual(client.answer(grabbed)["age_ms"], 1000)
+        self.assertLess(time.monotonic() - asked_s, 2)
+        self.assertGreaterEqual(client.answer(grabbed)["age_ms"], 3000)
         client.do("bye")
         self.assertEqual(self.driver.wait(), 0)
 
@@ -250,9 +250,20 @@ class SteppedMoves(unittest.TestCase):
         stage.stop()
         self.assertEqual(self.wait(stage), "stopped")
         place = stage.position()
-        self.assertTrue(100 <= place["x_um"] < 600, place)
+        self.assertTrue(100 <= place["x_um"] < 5000, place)
         time.sleep(0.15)
         self.assertEqual(stage.position(), place)
+
+    def test_a_stop_near_the_end_of_a_step_waits_until_the_stage_is_still(self) -> None:
+        device = FakeStage(speed_um_per_s=100)
+        stage = self.stage(device)
+        stage.move({"x_um": 250})
+        while not device.moves:
+            time.sleep(0.005)
+        stage.stop()
+        self.assertEqual(self.wait(stage), "stopped")
+        self.assertAlmostEqual(stage.position()["x_um"], 250 / 3, places=9)
+        self.assertEqual(len(device.moves), 1)
 
     def test_clipping_is_a_fault(self) -> None:
         stage = self.stage(FakeStage(clips_at_um=150))

@@ -57,12 +57,12 @@ class Process(unittest.TestCase):
         with DriverProcess(EXAMPLE) as driver:
             client = driver.client
             client.hello()
-            client.do("exposure", exposure_ms=1000)
+            client.do("exposure", exposure_ms=3000)
             grab = client.send("grab")
             time.sleep(0.2)
             asked_s = time.monotonic()
             client.do("stop")
-            self.assertLess(time.monotonic() - asked_s, 0.2)
+            self.assertLess(time.monotonic() - asked_s, 2)
             self.assertEqual(client.answer(grab)["bytes"], 48)
 
     @unittest.skipUnless(os.name == "posix", "signals as POSIX has them")

@@ -159,14 +159,20 @@ fn tell(
                 false => words,
             };
         }
-        PictureVerdict::Suspect { estimate, share } => {
+        PictureVerdict::Suspect {
+            estimate,
+            share,
+            contradicted,
+        } => {
             see(estimate)?;
             json.verdict = "suspect";
             json.reason = "suspect".into();
             json.message = format!(
-                "{inliers} places agree where they are in the image, and only {:.0} % of the image is alike: dust on the camera, a reticle \
-                 or burnt-in text do that. If both show the same place, say so with --same-place",
-                100.0 * share
+                "{inliers} places agree where they are in the image, but only {:.0} % of the image is alike, and {:.0} % of what either image \
+                 shows is not in the other: dust on the camera, a reticle or burnt-in text do that. If both show the same place, say so \
+                 with --same-place",
+                100.0 * share,
+                100.0 * contradicted
             );
         }
         PictureVerdict::Ambiguous { estimate, rival } => {

@@ -271,3 +271,54 @@ fn dust_alone_and_a_lattice_are_not_saved_and_a_target_saved_still_says_so() {
     assert_eq!(code(&still), 0, "{}", stderr(&still));
     assert!(json(&still)["moved_features"].is_null());
 }
+
+/// Soft shadows close together, the camera's noise, and a few cells.
+fn behind_soft_dust(noise: u64, cells: u64) -> Vec<u8> {
+    let mut gray = glass(noise);
+    let mut at = Numbers(9);
+    let shadows: Vec<[f64; 3]> = (0..400)
+        .map(|_| {
+            [
+                at.below(SIZE[0]) as f64,
+                at.below(SIZE[1]) as f64,
+                3.0 + at.below(7) as f64,
+            ]
+        })
+        .collect();
+    for (k, value) in gray.iter_mut().enumerate() {
+        let p = [(k % SIZE[0]) as f64, (k / SIZE[0]) as f64];
+        let light: f64 = shadows
+            .iter()
+            .map(|[x, y, r]| {
+                1.0 - 0.3 * (-((p[0] - x).powi(2) + (p[1] - y).powi(2)) / (2.0 * r * r)).exp()
+            })
+            .product();
+        *value = (f64::from(*value) * light) as u8;
+    }
+    let mut at = Numbers(cells);
+    for _ in 0..25 {
+        let place = [0, 1].map(|k| at.below(SIZE[k]) as i64);
+        disc(&mut gray, place, 7, 60);
+    }
+    gray
+}
+
+#[test]
+fn two_nearly_empty_places_behind_soft_dust_all_over_are_suspect_and_one_of_them_is_found() {
+    let dir = tempfile::tempdir().unwrap();
+    save(dir.path(), "view.png", behind_soft_dust(1, 3));
+    save(dir.path(), "target.png", behind_soft_dust(2, 4));
+    let (exit, answer) = register(dir.path(), &[]);
+    assert_eq!(
+        (exit, answer["verdict"].as_str()),
+        (3, Some("suspect")),
+        "{answer}"
+    );
+    save(dir.path(), "target.png", behind_soft_dust(2, 3));
+    let (exit, answer) = register(dir.path(), &[]);
+    assert_eq!(
+        (exit, answer["verdict"].as_str()),
+        (0, Some("found")),
+        "{answer}"
+    );
+}

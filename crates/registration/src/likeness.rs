@@ -383,6 +383,22 @@ impl Pair {
         explained as f64 / strong().count().max(1) as f64
     }
 
+    /// Of the patches with structure, the share of those whose structure is far from what the transform puts there: nearly none of two
+    /// images of one place, whatever the noise. Of two places behind the same dust it is all that they show beside it.
+    pub fn share_contradicted(&self, target_from_view: &Affine2) -> f64 {
+        let seen = self.look(target_from_view).unwrap_or_default();
+        let seen: Vec<Likeness> = seen.into_iter().filter_map(|(_, seen)| seen).collect();
+        let Some(noise) = noise(seen.iter().copied()) else {
+            return 0.0;
+        };
+        let clear = (STRUCTURED * noise).max(LEAST_VARIANCE);
+        let structured = seen.iter().filter(|l| l.variance > clear);
+        let contradicted = structured
+            .clone()
+            .filter(|l| l.residual() > clear && l.correlation < ALIKE);
+        contradicted.count() as f64 / structured.count().max(1) as f64
+    }
+
     /// The share of all patches, with structure or without, that show the same thing under a transform: they are alike, and nearly so a
     /// little aside, as all is that went through optics. The pattern of a sensor's pixels or columns is not.
     pub fn share_alike(&self, target_from_view: &Affine2) -> f64 {
