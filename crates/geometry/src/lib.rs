@@ -15,6 +15,7 @@
 )]
 
 mod affine;
+mod dense;
 mod fit;
 mod mat2;
 mod ransac;
@@ -22,6 +23,7 @@ mod rng;
 mod solve;
 
 pub use affine::{Affine2, Similarity};
+pub use dense::Cholesky;
 pub use fit::{
     AffineFit, Correspondence, affine_from_3, fit_affine, fit_affine_robust, fit_similarity,
     fit_similarity_robust, similarity_from_oriented,

@@ -42,7 +42,7 @@ mod vision;
 mod words;
 
 pub use bring::Bring;
-pub use calibrate::{Calibrate, CalibrateOptions};
+pub use calibrate::{Calibrate, CalibrateOptions, joint};
 pub use calibration::{CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
 pub use code::{ErrorCode, ErrorKind, Remedy};
 pub use error::ServoError;

@@ -5,6 +5,7 @@
 //! rotation may leave the view's centre where it is; there what stayed in the translations is left out.
 
 mod estimate;
+pub mod joint;
 mod observe;
 mod plan;
 mod procedure;

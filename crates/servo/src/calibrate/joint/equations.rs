@@ -1,0 +1,205 @@
+//! The sum of squares that a calibration minimises, and its normal equations.
+
+use super::model::{OPTICS, Order, Pair, Priors, Unknowns, View, axes};
+use super::sight::{Derivative, Shown, Sight, shown, shown_by, sight};
+use scopeservo_geometry::cholesky_inverse;
+
+/// The measurements, each pair with its weight.
+#[derive(Clone, Copy)]
+pub(super) struct Problem<'a> {
+    pub(super) priors: &'a Priors,
+    pub(super) views: &'a [View],
+    pub(super) pairs: &'a [Pair],
+    /// One for each pair: 1, or less for what others contradict.
+    pub(super) weights: &'a [f64],
+}
+
+/// `step = -information^-1 gradient`, information row by row.
+pub(super) struct Normal {
+    pub(super) information: Vec<f64>,
+    pub(super) gradient: Vec<f64>,
+}
+
+impl Normal {
+    /// Adds `1/2 information |by . step + residual|^2` over a few unknowns.
+    fn add_row(&mut self, by: &[(usize, f64)], residual: f64, certainty: f64) {
+        let n = self.gradient.len();
+        for &(i, a) in by {
+            self.gradient[i] += certainty * a * residual;
+            for &(j, b) in by {
+                self.information[i * n + j] += certainty * a * b;
+            }
+        }
+    }
+
+    /// The same of a pair's three numbers.
+    fn add(&mut self, by: &[(usize, Shown)], residual: &Shown, certainty: &[[f64; 3]; 3]) {
+        let n = self.gradient.len();
+        for &(i, a) in by {
+            let a = product(certainty, &a);
+            self.gradient[i] += dot(&a, residual);
+            for (j, b) in by {
+                self.information[i * n + j] += dot(&a, b);
+            }
+        }
+    }
+
+    /// Holds an unknown where it is: its equation is `step = 0`.
+    fn hold(&mut self, k: usize) {
+        let n = self.gradient.len();
+        for j in 0..n {
+            (self.information[k * n + j], self.information[j * n + k]) = (0.0, 0.0);
+        }
+        (self.information[k * n + k], self.gradient[k]) = (1.0, 0.0);
+    }
+}
+
+fn dot(a: &Shown, b: &Shown) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// A symmetric 3x3 matrix times a vector.
+fn product(m: &[[f64; 3]; 3], v: &Shown) -> Shown {
+    m.map(|row| dot(&row, v))
+}
+
+/// An angle in (-pi, pi].
+fn wrapped(angle_rad: f64) -> f64 {
+    let turns = (angle_rad / std::f64::consts::TAU).round();
+    angle_rad - turns * std::f64::consts::TAU
+}
+
+impl Problem<'_> {
+    /// The sights of a pair, with what it shows less what was measured.
+    fn off(&self, at: &Unknowns, pair: &Pair) -> Option<([Sight; 2], Shown)> {
+        let both = [pair.fixed, pair.found];
+        let optics = both.map(|v| &at.instrument.optics[self.views[v].optics]);
+        let sights = [0, 1].map(|n| {
+            sight(
+                self.priors.kinematics,
+                &at.poses[both[n]],
+                optics[n].centre_m,
+            )
+        });
+        let [x, y, angle] = shown(&sights, &optics)?;
+        let [x_px, y_px] = pair.centre_px;
+        Some((
+            sights,
+            [x - x_px, y - y_px, wrapped(angle - pair.angle_rad)],
+        ))
+    }
+
+    /// What a pair shows less what was measured.
+    pub(super) fn residual(&self, at: &Unknowns, pair: &Pair) -> Option<Shown> {
+        Some(self.off(at, pair)?.1)
+    }
+
+    /// The residual of a pair and its derivative, with the unknowns that each column belongs to.
+    pub(super) fn linear(
+        &self,
+        at: &Unknowns,
+        pair: &Pair,
+    ) -> Option<(Shown, Vec<(usize, Shown)>)> {
+        let order = at.order();
+        let (sights, off) = self.off(at, pair)?;
+        let both = [pair.fixed, pair.found];
+        let optics = both.map(|v| self.views[v].optics);
+        let Derivative { by_pose, by_optics } =
+            shown_by(&sights, &optics.map(|o| &at.instrument.optics[o]))?;
+        let mut by = Vec::with_capacity(2 * (3 + OPTICS));
+        for n in 0..2 {
+            by.extend((order.pose(both[n])..).zip(by_pose[n]));
+        }
+        let [mut first, second] = by_optics;
+        if optics[0] == optics[1] {
+            // Summed here, as what they leave of the centre is lost in the squares of either.
+            for (sum, more) in first.iter_mut().zip(second) {
+                *sum = std::array::from_fn(|r| sum[r] + more[r]);
+            }
+        } else {
+            by.extend((order.optics(optics[1])..).zip(second));
+        }
+        by.extend((order.optics(optics[0])..).zip(first));
+        Some((off, by))
+    }
+
+    /// What is known beforehand: for each row the unknowns with their factors, the residual and its standard deviation.
+    fn prior_rows(&self, at: &Unknowns) -> Vec<(Vec<(usize, f64)>, f64, f64)> {
+        let (order, priors) = (at.order(), self.priors);
+        let mut rows = Vec::new();
+        for k in 0..3 {
+            let Some(sigma) = priors.arrival[k] else {
+                continue;
+            };
+            let backlash = at.instrument.backlash[k];
+            let play = order.backlash() + k;
+            rows.push((vec![(play, 1.0)], backlash, priors.backlash[k]));
+            for (v, (view, pose)) in self.views.iter().zip(&at.poses).enumerate() {
+                let half = f64::from(view.approach[k]) / 2.0;
+                let off = axes(pose)[k] - axes(&view.reported)[k] + half * backlash;
+                rows.push((vec![(order.pose(v) + k, 1.0), (play, half)], off, sigma));
+            }
+        }
+        let centre =
+            |o: usize, k: usize| (order.optics(o) + 4 + k, at.instrument.optics[o].centre_m[k]);
+        for k in 0..2 {
+            let (first, value) = centre(0, k);
+            rows.push((vec![(first, 1.0)], value, priors.lever_m));
+            for o in 1..order.optics {
+                let (other, other_value) = centre(o, k);
+                let by = vec![(other, 1.0), (first, -1.0)];
+                rows.push((by, other_value - value, priors.parcentric_m));
+            }
+        }
+        rows
+    }
+
+    /// Unknowns that have no meaning without an axis.
+    pub(super) fn held(&self, order: Order) -> Vec<usize> {
+        let mut held = Vec::new();
+        for k in (0..3).filter(|k| self.priors.arrival[*k].is_none()) {
+            held.extend((0..order.views).map(|v| order.pose(v) + k));
+            held.push(order.backlash() + k);
+        }
+        if self.priors.arrival[2].is_none() {
+            held.extend([4, 5].map(|k| order.optics(0) + k));
+        }
+        held
+    }
+
+    /// Twice the negative logarithm of the likelihood: chi-square where all weights are 1. `None` where a map is singular.
+    pub(super) fn cost(&self, at: &Unknowns) -> Option<f64> {
+        let rows = self.prior_rows(at);
+        let mut cost: f64 = rows
+            .iter()
+            .map(|(_, off, sigma)| (off / sigma).powi(2))
+            .sum();
+        for (pair, weight) in self.pairs.iter().zip(self.weights) {
+            let off = self.residual(at, pair)?;
+            cost += weight * dot(&off, &product(&cholesky_inverse(&pair.covariance)?, &off));
+        }
+        cost.is_finite().then_some(cost)
+    }
+
+    /// The normal equations of a Gauss-Newton step.
+    pub(super) fn normal(&self, at: &Unknowns) -> Option<Normal> {
+        let order = at.order();
+        let n = order.count();
+        let mut normal = Normal {
+            information: vec![0.0; n * n],
+            gradient: vec![0.0; n],
+        };
+        for (by, off, sigma) in self.prior_rows(at) {
+            normal.add_row(&by, off, 1.0 / (sigma * sigma));
+        }
+        for (pair, weight) in self.pairs.iter().zip(self.weights) {
+            let (off, by) = self.linear(at, pair)?;
+            let certainty = cholesky_inverse(&pair.covariance)?;
+            normal.add(&by, &off, &certainty.map(|row| row.map(|c| c * weight)));
+        }
+        for k in self.held(order) {
+            normal.hold(k);
+        }
+        Some(normal)
+    }
+}

@@ -1,0 +1,22 @@
+//! Joint calibration: every overlapping pair of views along a path much longer than one view, and the stage's repeatability as a prior,
+//! solved for everything at once.
+//!
+//! Unknown are the map of each objective, the rotation centre, the backlash of each axis and where every view truly was. The paper's two
+//! steps (`hand_eye`) use views that all overlap one reference: their moves are no longer than a field, and what the stage scatters spoils
+//! them. A chain of views measures moves of many fields by the same images, and rotations about the view's centre widen to degrees, so that
+//! the same scatter counts a tenth as much.
+//!
+//! The mathematics only: [`next_view`] says where to look next, [`fit()`] what the views say. No instrument, no image here.
+
+mod equations;
+mod fit;
+mod minimise;
+mod model;
+mod path;
+mod play;
+mod sight;
+mod start;
+
+pub use fit::{JointFit, fit};
+pub use model::{Instrument, Optics, Pair, Priors, View};
+pub use path::{Known, Next, PathOptions, Role, Taken, next_view, partners};

@@ -1,0 +1,201 @@
+//! A world of numbers: a stage with play and scatter, optics, and what registrations of its views would say. Its equations are its own.
+
+use scopeservo_geometry::{Mat2, SplitMix64, Vec2};
+use scopeservo_scope::Kinematics;
+use scopeservo_servo::PlanarPose;
+use scopeservo_servo::joint::{
+    JointFit, Known, Optics, Pair, PathOptions, Priors, Taken, View, fit, next_view, partners,
+};
+
+/// The paper's hexapod, its +-0.15 um and +-3 urad taken as standard deviations.
+pub(crate) const HEXAPOD: [f64; 3] = [0.15e-6, 0.15e-6, 3e-6];
+/// Registration noise: centre px, angle rad.
+pub(crate) const NOISE: [f64; 2] = [0.03, 2e-4];
+
+pub(crate) struct World {
+    pub(crate) kinematics: Kinematics,
+    pub(crate) turns: bool,
+    pub(crate) optics: Optics,
+    pub(crate) backlash: [f64; 3],
+    pub(crate) scatter: [f64; 3],
+    pub(crate) reach: [f64; 3],
+    rng: SplitMix64,
+    /// Where the play has left each axis, before it scatters.
+    contact: [f64; 3],
+    truly: Vec<[f64; 3]>,
+}
+
+pub(crate) struct Run {
+    pub(crate) taken: Vec<Taken>,
+    pub(crate) pairs: Vec<Pair>,
+    pub(crate) fit: Option<JointFit>,
+}
+
+/// The paper's map at 400x.
+pub(crate) fn paper_400x() -> Optics {
+    let (s, c) = 0.5722f64.to_radians().sin_cos();
+    let r_ec = Mat2([[-s, -c], [-c, s]]);
+    Optics {
+        stage_from_pixel: r_ec * Mat2::diagonal(-1.0 / 1_953_155.0, -1.0 / 1_981_235.0),
+        centre_m: [124.91e-3, 0.1166e-3],
+    }
+}
+
+impl World {
+    pub(crate) fn hexapod(seed: u64) -> Self {
+        Self {
+            kinematics: Kinematics::MovesMicroscope,
+            turns: true,
+            optics: paper_400x(),
+            backlash: [0.0; 3],
+            scatter: HEXAPOD,
+            reach: [17e-3, 16e-3, 21f64.to_radians()],
+            rng: SplitMix64::new(seed),
+            contact: [0.0; 3],
+            truly: Vec::new(),
+        }
+    }
+
+    pub(crate) fn priors(&self) -> Priors {
+        let [x, y, turn] = self.scatter;
+        Priors {
+            kinematics: self.kinematics,
+            arrival: [Some(x), Some(y), self.turns.then_some(turn)],
+            backlash: [30e-6, 30e-6, 1e-4],
+            lever_m: 0.3,
+            parcentric_m: 15e-6,
+        }
+    }
+
+    fn go(&mut self, pose: &PlanarPose) {
+        let asked = [pose.x_m[0], pose.x_m[1], pose.theta_rad];
+        for k in 0..3 {
+            let half = self.backlash[k] / 2.0;
+            self.contact[k] = self.contact[k].clamp(asked[k] - half, asked[k] + half);
+        }
+    }
+
+    fn look(&mut self, pose: &PlanarPose) {
+        self.go(pose);
+        let axes = if self.turns { 3 } else { 2 };
+        let mut truly = self.contact;
+        for (k, truly) in truly.iter_mut().enumerate().take(axes) {
+            *truly += self.scatter[k] * self.rng.normal();
+        }
+        self.truly.push(truly);
+    }
+
+    /// The specimen point of a pixel, seen from the centre, in a view.
+    fn specimen(&self, view: usize, p: Vec2) -> Vec2 {
+        let [x, y, th] = self.truly[view];
+        let c = self.optics.stage_from_pixel * p;
+        let c = [0, 1].map(|k| c[k] + self.optics.centre_m[k]);
+        match self.kinematics {
+            Kinematics::MovesMicroscope => {
+                let turned = Mat2::rotation(th) * c;
+                [turned[0] + x, turned[1] + y]
+            }
+            Kinematics::SpecimenRotationOnTop => Mat2::rotation(-th) * [c[0] - x, c[1] - y],
+            Kinematics::SpecimenXyOnTop => {
+                let turned = Mat2::rotation(-th) * c;
+                [turned[0] - x, turned[1] - y]
+            }
+        }
+    }
+
+    /// The pixel, from the centre, at which a view sees a specimen point.
+    fn pixel(&self, view: usize, s: Vec2) -> Vec2 {
+        let [x, y, th] = self.truly[view];
+        let c = match self.kinematics {
+            Kinematics::MovesMicroscope => Mat2::rotation(-th) * [s[0] - x, s[1] - y],
+            Kinematics::SpecimenRotationOnTop => {
+                let turned = Mat2::rotation(th) * s;
+                [turned[0] + x, turned[1] + y]
+            }
+            Kinematics::SpecimenXyOnTop => Mat2::rotation(th) * [s[0] + x, s[1] + y],
+        };
+        let seen = [0, 1].map(|k| c[k] - self.optics.centre_m[k]);
+        self.optics.stage_from_pixel.inverse().unwrap() * seen
+    }
+
+    /// What a registration says of two views; `None` where they do not overlap.
+    pub(crate) fn pair(&mut self, fixed: usize, found: usize) -> Option<Pair> {
+        let see = |p: Vec2| self.pixel(fixed, self.specimen(found, p));
+        let (o, x, y) = (see([0.0; 2]), see([1e3, 0.0]), see([0.0, 1e3]));
+        if o[0].abs() > 0.75 * 640.0 || o[1].abs() > 0.75 * 480.0 {
+            return None;
+        }
+        let linear = Mat2([[x[0] - o[0], y[0] - o[0]], [x[1] - o[1], y[1] - o[1]]]);
+        let [sigma_px, sigma_rad] = NOISE;
+        let centre_px = o.map(|v| v + sigma_px * self.rng.normal());
+        let angle_rad = linear.rotation_angle().unwrap() + sigma_rad * self.rng.normal();
+        let mut covariance = [[0.0; 3]; 3];
+        (covariance[0][0], covariance[1][1]) = (sigma_px.powi(2), sigma_px.powi(2));
+        covariance[2][2] = sigma_rad.powi(2);
+        Some(Pair {
+            fixed,
+            found,
+            centre_px,
+            angle_rad,
+            covariance,
+        })
+    }
+
+    pub(crate) fn allowed(&self) -> impl Fn(&PlanarPose) -> bool + use<> {
+        let [x, y, turn] = self.reach;
+        move |p| p.x_m[0].abs() <= x && p.x_m[1].abs() <= y && p.theta_rad.abs() <= turn
+    }
+
+    /// A whole calibration from a pose.
+    pub(crate) fn calibrate(&mut self, options: &PathOptions, start: PlanarPose) -> Run {
+        let (mut taken, mut pairs) = (Vec::<Taken>::new(), Vec::new());
+        let mut known = None;
+        let allowed = self.allowed();
+        self.contact = [start.x_m[0], start.x_m[1], start.theta_rad];
+        loop {
+            let so_far = taken.clone();
+            let state = Known {
+                kinematics: self.kinematics,
+                turns: self.turns,
+                image_size_px: [640, 480],
+                nominal_m_per_px: 0.5e-6,
+                start,
+                taken: &so_far,
+                fit: known.as_ref(),
+            };
+            let Some(next) = next_view(options, &state, &allowed) else {
+                break;
+            };
+            if let Some(via) = &next.via {
+                assert!(allowed(via));
+                self.go(via);
+            }
+            assert!(allowed(&next.pose));
+            self.look(&next.pose);
+            let index = taken.len();
+            let others = partners(options, &state, &next.pose);
+            let seen: Vec<Pair> = others.iter().filter_map(|k| self.pair(*k, index)).collect();
+            taken.push(Taken {
+                role: next.role,
+                view: View {
+                    optics: 0,
+                    reported: next.pose,
+                    approach: next.approach,
+                },
+                found: index == 0 || !seen.is_empty(),
+            });
+            pairs.extend(seen);
+            known = self.solve(&taken, &pairs);
+        }
+        Run {
+            taken,
+            pairs,
+            fit: known,
+        }
+    }
+
+    pub(crate) fn solve(&self, taken: &[Taken], pairs: &[Pair]) -> Option<JointFit> {
+        let views: Vec<View> = taken.iter().map(|t| t.view).collect();
+        fit(&self.priors(), &views, pairs)
+    }
+}
