@@ -2,9 +2,11 @@
 //!
 //! - The reference, with all play taken up; two steps to a corner, which surely overlap; and back to the reference from the other side,
 //!   which shows the backlash.
-//! - A cross: four arms along the stage's axes, in steps as long as the map lets two views overlap. Each arm is reached in one direction.
+//! - A cross: four arms along the stage's axes, in steps as long as the map lets two views overlap, all reached from one side.
 //! - Rotations about the view's centre. What the rotation centre is uncertain by moves the view, so the next one turns as much farther as
-//!   that allows, until the widest; from there back and forth again, so that each angle is reached from both sides.
+//!   that allows, until the widest.
+//! - Rotations back and forth about the ends of the cross, each angle reached from both sides: a view there tells of the map and the
+//!   rotation centre at once. They end when both are known well enough.
 
 use super::fit::JointFit;
 use super::model::View;
@@ -31,6 +33,10 @@ pub struct PathOptions {
     pub least_overlap: f64,
     /// A rotation may miss the view's centre by so much of the shorter side of the field, by three standard deviations.
     pub miss_share: f64,
+    /// Standard deviation of the map, relative, that is enough.
+    pub enough_map: f64,
+    /// Standard deviation of the rotation centre that is enough, m.
+    pub enough_centre_m: f64,
     /// Play of x, y (m) and rotation (rad) at most: an axis that turns back by less makes a run-up.
     pub most_play: [f64; 3],
 }
@@ -44,6 +50,8 @@ impl Default for PathOptions {
             first_share: 0.35,
             least_overlap: 0.4,
             miss_share: 0.25,
+            enough_map: 1.5e-4,
+            enough_centre_m: 3e-6,
             most_play: [30e-6, 30e-6, 1e-4],
         }
     }
@@ -74,7 +82,7 @@ pub enum Role {
         /// Tries since the last view that was found.
         tries: u8,
     },
-    /// A rotation back and forth.
+    /// A rotation back and forth about an end of the cross.
     Sweep {
         /// How many were made before.
         index: u8,
@@ -126,11 +134,20 @@ pub struct Next {
 
 /// The directions of the cross.
 const ARMS: [Vec2; 4] = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
-/// Rotations after the widest to one side, as shares of the widest.
-const SWEEP: [f64; 8] = [0.5, 0.0, -0.5, -1.0, -0.5, 0.0, 0.5, 1.0];
+/// Rotations back and forth, as shares of the widest, each about the end of an arm.
+const SWEEP: [(f64, usize); 8] = [
+    (0.5, 0),
+    (0.0, 1),
+    (-0.5, 2),
+    (-1.0, 1),
+    (-0.5, 0),
+    (0.0, 3),
+    (0.5, 1),
+    (1.0, 0),
+];
 /// Views for the reference, the corners and the return.
 const FIRST_VIEWS: usize = 4;
-/// Views for rotations.
+/// Views for rotations and at the ends of the cross.
 const TURNED_VIEWS: usize = 12;
 /// So often a step is made shorter when its view is not found.
 const RETRIES: u8 = 3;
@@ -156,7 +173,8 @@ pub fn next_view(
         .taken
         .last()
         .map(|t| (&t.view.reported, t.view.approach));
-    let Arrival { via, approach } = arrive(from, &pose, path.play(), allowed)?;
+    let same_side = matches!(role, Role::Arm { .. });
+    let Arrival { via, approach } = arrive(from, &pose, path.play(), same_side, allowed)?;
     Some(Next {
         role,
         via,
@@ -262,8 +280,11 @@ impl Path<'_> {
                 .map(|k| (t.view.reported.x_m[k] - reference.x_m[k]) * arm[k])
                 .sum()
         });
-        let turned = if self.known.turns { TURNED_VIEWS } else { 0 };
-        let most = self.options.most_views.saturating_sub(FIRST_VIEWS + turned) / ARMS.len();
+        let most = self
+            .options
+            .most_views
+            .saturating_sub(FIRST_VIEWS + TURNED_VIEWS)
+            / ARMS.len();
         let rest_m = self.options.reach_m - gone_m;
         if made.count() >= most || rest_m < 0.1 * self.options.reach_m {
             return self.arm(direction + 1);
@@ -283,8 +304,7 @@ impl Path<'_> {
     fn longest_step_m(&self, direction: Vec2) -> Option<f64> {
         let fit = self.known.fit?;
         let optics = fit.instrument.optics.first()?;
-        let variance: f64 = (0..4).map(|k| fit.optics_covariance(0)[k][k]).sum();
-        let doubt = 1.0 + 3.0 * variance.sqrt() / optics.stage_from_pixel.frobenius();
+        let doubt = 1.0 + 3.0 * self.map_sigma(fit)?;
         let turn = match self.known.kinematics {
             Kinematics::MovesMicroscope | Kinematics::SpecimenXyOnTop => {
                 Mat2::rotation(-self.reference().theta_rad)
@@ -319,8 +339,8 @@ impl Path<'_> {
         })
     }
 
-    /// The pose that turns by `turn_rad` about the view's centre at the reference.
-    fn turned(&self, fit: &JointFit, turn_rad: f64) -> Option<PlanarPose> {
+    /// The pose that turns by `turn_rad` about the view's centre at a pose.
+    fn turned(&self, fit: &JointFit, about: &PlanarPose, turn_rad: f64) -> Option<PlanarPose> {
         let eta = fit.instrument.optics.first()?.centre_m;
         let alpha_rad = match self.known.kinematics {
             Kinematics::MovesMicroscope => turn_rad,
@@ -331,23 +351,26 @@ impl Path<'_> {
             alpha_rad,
             d_m: [eta[0] - turned[0], eta[1] - turned[1]],
         };
-        Some(pose_after(
-            self.known.kinematics,
-            &self.reference(),
-            &motion,
-        ))
+        Some(pose_after(self.known.kinematics, about, &motion))
     }
 
-    /// The widest rotation to one side (1 or -1) that is allowed, rad.
-    fn widest_rad(&self, fit: &JointFit, side: f64) -> f64 {
+    /// The widest rotation about a view to one side (1 or -1) that is allowed, rad.
+    fn widest_rad(&self, fit: &JointFit, about: &PlanarPose, side: f64) -> f64 {
         let shares = (0..20).map(|k| 1.0 - 0.05 * f64::from(k));
         shares
             .map(|share| share * self.options.widest_rad)
             .find(|angle| {
-                self.turned(fit, side * angle)
+                self.turned(fit, about, side * angle)
                     .is_some_and(|p| (self.allowed)(&p))
             })
             .unwrap_or(0.0)
+    }
+
+    /// The standard deviation of the map, relative.
+    fn map_sigma(&self, fit: &JointFit) -> Option<f64> {
+        let optics = fit.instrument.optics.first()?;
+        let variance: f64 = (0..4).map(|k| fit.optics_covariance(0)[k][k]).sum();
+        Some(variance.sqrt() / optics.stage_from_pixel.frobenius())
     }
 
     /// The standard deviation of the rotation centre where it is greatest, m.
@@ -364,23 +387,45 @@ impl Path<'_> {
         let reached_rad = turns
             .map(|t| t.view.reported.theta_rad - self.reference().theta_rad)
             .fold(0.0, f64::max);
-        let widest_rad = self.widest_rad(fit, 1.0);
+        let widest_rad = self.widest_rad(fit, &self.reference(), 1.0);
         if tries > RETRIES || reached_rad >= 0.999 * widest_rad {
             return self.sweep(0);
         }
         let miss_m = self.options.miss_share * self.field_m() / f64::from(1u32 << (2 * tries));
         let on_rad = miss_m / (3.0 * self.lever_sigma_m(fit));
         let turn_rad = (reached_rad + on_rad).min(widest_rad);
-        let pose = self.turned(fit, turn_rad).filter(|p| (self.allowed)(p))?;
+        let pose = self
+            .turned(fit, &self.reference(), turn_rad)
+            .filter(|p| (self.allowed)(p))?;
         Some((Role::Widen { tries }, pose))
     }
 
-    /// One of the rotations back and forth.
+    /// Where the last view of an arm is, or the reference where it has none.
+    fn end_of(&self, direction: usize) -> PlanarPose {
+        let along = |t: &&Taken| {
+            t.found && matches!(t.role, Role::Arm { direction: d } if usize::from(d) == direction)
+        };
+        let last = self.known.taken.iter().rev().find(along);
+        last.map_or(self.reference(), |t| t.view.reported)
+    }
+
+    /// One of the rotations back and forth, which begin anew until all is known well enough.
     fn sweep(&self, index: usize) -> Option<(Role, PlanarPose)> {
         let fit = self.known.fit?;
-        let share = *SWEEP.get(index)?;
-        let turn_rad = share * self.widest_rad(fit, share.signum());
-        let pose = self.turned(fit, turn_rad).filter(|p| (self.allowed)(p))?;
+        let centre_known =
+            !self.known.turns || self.lever_sigma_m(fit) <= self.options.enough_centre_m;
+        if index >= SWEEP.len() && centre_known && self.map_sigma(fit)? <= self.options.enough_map {
+            return None;
+        }
+        let (share, direction) = SWEEP[index % SWEEP.len()];
+        let about = self.end_of(direction);
+        let turn_rad = match self.known.turns {
+            true => share * self.widest_rad(fit, &about, share.signum()),
+            false => 0.0,
+        };
+        let pose = self
+            .turned(fit, &about, turn_rad)
+            .filter(|p| (self.allowed)(p))?;
         Some((Role::Sweep { index: index as u8 }, pose))
     }
 }

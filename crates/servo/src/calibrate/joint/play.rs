@@ -18,11 +18,13 @@ pub(super) struct Arrival {
 }
 
 /// How to get to a pose with all play taken up, from a pose that was reached so. An axis that turns back by less than its play may have
-/// makes a run-up on the side where it came from, or where the stage may not go there on the other. `None` where neither is allowed.
+/// makes a run-up on the side where it came from, or where the stage may not go there on the other; with `same_side` so does each that turns
+/// back. `None` where neither is allowed.
 pub(super) fn arrive(
     from: Option<(&PlanarPose, [i8; 3])>,
     to: &PlanarPose,
     most_play: [f64; 3],
+    same_side: bool,
     allowed: &dyn Fn(&PlanarPose) -> bool,
 ) -> Option<Arrival> {
     (0..8).find_map(|flipped: u8| {
@@ -37,7 +39,8 @@ pub(super) fn arrive(
                     approach[k] = before[k];
                     match way.abs() {
                         w if w < STAYS => Some(before[k]),
-                        w if w >= most_play[k] || side == before[k] => Some(side),
+                        _ if side == before[k] => Some(side),
+                        w if w >= most_play[k] && !same_side => Some(side),
                         _ => None,
                     }
                 }
@@ -79,10 +82,18 @@ mod tests {
     #[test]
     fn only_a_short_way_back_needs_a_run_up() {
         let here = pose(0.0, 0.0);
-        let go = |to: &PlanarPose| arrive(Some((&here, [1, -1, 1])), to, PLAY, &|_| true).unwrap();
+        let go = |to: &PlanarPose| {
+            arrive(Some((&here, [1, -1, 1])), to, PLAY, false, &|_| true).unwrap()
+        };
         assert_eq!(go(&pose(1e-6, -1e-6)).via, None);
         assert_eq!(go(&pose(-1e-4, 1e-4)).approach, [-1, 1, 1]);
         assert_eq!(go(&pose(-1e-4, 1e-4)).via, None);
+        let to = pose(-1e-4, 0.0);
+        let kept = arrive(Some((&here, [1, -1, 1])), &to, PLAY, true, &|_| true).unwrap();
+        assert_eq!(
+            (kept.via, kept.approach),
+            (Some(pose(-1.45e-4, 0.0)), [1, -1, 1])
+        );
         let short = go(&pose(-1e-5, 0.0));
         assert_eq!(
             (short.via, short.approach),
@@ -93,11 +104,11 @@ mod tests {
     #[test]
     fn the_first_view_is_reached_from_below_or_where_that_is_not_allowed_from_above() {
         let to = pose(0.0, 0.0);
-        let below = arrive(None, &to, [30e-6, 30e-6, 0.0], &|_| true).unwrap();
+        let below = arrive(None, &to, [30e-6, 30e-6, 0.0], false, &|_| true).unwrap();
         assert_eq!(below.via, Some(pose(-45e-6, -45e-6)));
         assert_eq!(below.approach, [1; 3]);
-        let above = arrive(None, &to, PLAY, &|p| p.x_m[0] >= 0.0).unwrap();
+        let above = arrive(None, &to, PLAY, false, &|p| p.x_m[0] >= 0.0).unwrap();
         assert_eq!(above.approach, [-1, 1, 1]);
-        assert_eq!(arrive(None, &to, PLAY, &|_| false), None);
+        assert_eq!(arrive(None, &to, PLAY, false, &|_| false), None);
     }
 }

@@ -40,7 +40,7 @@ fn stage_from_pixel(moves: &[(Vec2, Vec2)]) -> Option<Mat2> {
     for (k, (moved_m, moved_px)) in moves.iter().enumerate() {
         for (other_m, other_px) in &moves[..k] {
             let (stage, pixel) = (columns(*moved_m, *other_m), columns(*moved_px, *other_px));
-            if stage.det().abs() < LEAST_SINE * length(*moved_m) * length(*other_m) {
+            if stage.det().abs() <= LEAST_SINE * length(*moved_m) * length(*other_m) {
                 continue;
             }
             let Some(map) = pixel.inverse().map(|inverse| stage * inverse) else {
