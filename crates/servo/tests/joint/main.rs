@@ -1,11 +1,15 @@
 //! Joint calibration in a world of numbers.
 
+mod accuracy;
+mod coverage;
+mod instruments;
+mod reference;
 mod world;
+mod wrong_pair;
 
-use scopeservo_geometry::Mat2;
+use scopeservo_geometry::{Cholesky, Mat2};
 use scopeservo_servo::PlanarPose;
-use scopeservo_servo::joint::{JointFit, Optics, PathOptions};
-use world::World;
+use scopeservo_servo::joint::{JointFit, Optics};
 
 const HOME: PlanarPose = PlanarPose {
     x_m: [0.0; 2],
@@ -47,38 +51,18 @@ fn sigma(fit: &JointFit) -> [f64; 5] {
     ]
 }
 
-#[test]
-fn look() {
-    let mut w = World::hexapod(1);
-    w.backlash = [5e-6, 5e-6, 2e-5];
-    let t = std::time::Instant::now();
-    let run = w.calibrate(&PathOptions::default(), HOME);
-    for (k, t) in run.taken.iter().enumerate() {
-        let p: Vec<usize> = run
-            .pairs
-            .iter()
-            .filter(|p| p.found == k)
-            .map(|p| p.fixed)
-            .collect();
-        let v = t.view;
-        println!(
-            "{k} {:?} {:.1} {:.1} um {:.5} rad {:?} {} {p:?}",
-            t.role,
-            v.reported.x_m[0] * 1e6,
-            v.reported.x_m[1] * 1e6,
-            v.reported.theta_rad,
-            v.approach,
-            t.found
-        );
-    }
-    let fit = run.fit.unwrap();
-    println!("{:?}", sigma(&fit));
-    println!("{:?} {:?}", fit.instrument, fit.backlash_sigma());
-    println!(
-        "chi {} of {} {:?} {:?}",
-        fit.chi_sq,
-        fit.freedom,
-        fit.left_out,
-        t.elapsed()
-    );
+/// Square of the distance of a fit's numbers from others, in its standard deviations; of how many numbers.
+fn distance_sq(off: &[f64], fit: &JointFit) -> (f64, usize) {
+    let n = off.len();
+    let there: Vec<usize> = (0..n).filter(|k| fit.covariance[k * n + k] > 0.0).collect();
+    let covariance: Vec<f64> = there
+        .iter()
+        .flat_map(|i| there.iter().map(move |j| fit.covariance[i * n + j]))
+        .collect();
+    let off: Vec<f64> = there.iter().map(|k| off[*k]).collect();
+    let whitened = Cholesky::of(&covariance, there.len()).unwrap().solve(&off);
+    (
+        off.iter().zip(whitened).map(|(a, b)| a * b).sum(),
+        there.len(),
+    )
 }

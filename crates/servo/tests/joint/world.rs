@@ -4,7 +4,7 @@ use scopeservo_geometry::{Mat2, SplitMix64, Vec2};
 use scopeservo_scope::Kinematics;
 use scopeservo_servo::PlanarPose;
 use scopeservo_servo::joint::{
-    JointFit, Known, Optics, Pair, PathOptions, Priors, Taken, View, fit, next_view, partners,
+    JointFit, Known, Optics, Pair, PathOptions, Priors, Role, Taken, View, fit, next_view, partners,
 };
 
 /// The paper's hexapod, its +-0.15 um and +-3 urad taken as standard deviations.
@@ -185,13 +185,24 @@ impl World {
                 found: index == 0 || !seen.is_empty(),
             });
             pairs.extend(seen);
-            known = self.solve(&taken, &pairs);
+            // Along an arm and while it sweeps the path learns nothing new of what it needs.
+            if !matches!(next.role, Role::Arm { .. } | Role::Sweep { index: 0..7 }) {
+                known = self.solve(&taken, &pairs);
+            }
         }
-        Run {
-            taken,
-            pairs,
-            fit: known,
-        }
+        let fit = self.solve(&taken, &pairs);
+        Run { taken, pairs, fit }
+    }
+
+    /// The instrument's true numbers less those of a fit, in the order of its covariance.
+    pub(crate) fn off(&self, fit: &JointFit) -> Vec<f64> {
+        let numbers = |backlash: [f64; 3], optics: &Optics| {
+            let map = optics.stage_from_pixel.0;
+            [&backlash[..], &map[0], &map[1], &optics.centre_m].concat()
+        };
+        let truth = numbers(self.backlash, &self.optics);
+        let found = numbers(fit.instrument.backlash, &fit.instrument.optics[0]);
+        truth.iter().zip(found).map(|(a, b)| a - b).collect()
     }
 
     pub(crate) fn solve(&self, taken: &[Taken], pairs: &[Pair]) -> Option<JointFit> {

@@ -1,0 +1,136 @@
+"""Cases of a joint calibration with the answer of scipy.optimize.least_squares, for reference.rs.
+
+    python3 make_cases.py        (numpy and scipy; writes case_*.json beside this file)
+
+The equations are written down here a second time, from CONVENTIONS.md; SI units throughout. Unknown are the true poses of all views and
+the instrument: backlash x, y, rotation; the map row by row; the rotation centre.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+
+PRIORS = {"backlash": [30e-6, 30e-6, 1e-4], "lever_m": 0.3, "parcentric_m": 15e-6}
+NOISE = np.array([0.03, 0.03, 2e-4])
+# Of a view in a step of the solver, and of the instrument.
+POSE_UNIT = np.array([1e-7, 1e-7, 1e-6])
+INSTRUMENT_UNIT = np.array([1e-7, 1e-7, 1e-6] + [1e-10] * 4 + [1e-6] * 2)
+
+
+def rotation(a):
+    return np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+
+
+def specimen(kinematics, pose, c):
+    x, th = pose[:2], pose[2]
+    if kinematics == "moves_microscope":
+        return rotation(th) @ c + x
+    if kinematics == "specimen_rotation_on_top":
+        return rotation(-th) @ (c - x)
+    return rotation(-th) @ c - x
+
+
+def optics_coordinate(kinematics, pose, s):
+    x, th = pose[:2], pose[2]
+    if kinematics == "moves_microscope":
+        return rotation(-th) @ (s - x)
+    if kinematics == "specimen_rotation_on_top":
+        return rotation(th) @ s + x
+    return rotation(th) @ (s + x)
+
+
+def shown(kinematics, fixed, found, m, eta):
+    """Where the centre of `found` lies in `fixed`, and the nearest rotation: by three points."""
+    at = [
+        np.linalg.solve(m, optics_coordinate(kinematics, fixed, specimen(kinematics, found, m @ p + eta)) - eta)
+        for p in (np.zeros(2), np.array([500.0, 0.0]), np.array([0.0, 500.0]))
+    ]
+    a, b = (at[1] - at[0]) / 500, (at[2] - at[0]) / 500
+    return np.array([*at[0], np.arctan2(a[1] - b[0], a[0] + b[1])])
+
+
+def path(kinematics, eta, turns):
+    """Views of a cross and of rotations about the centre; each with the side it is reached from."""
+    away = [(0, 0), (84, 0), (84, 84), (0, 0)] + [(d, 0) for d in (130, 260, -130, -260)] + [(0, d) for d in (130, 260, -130, -260)]
+    views = [(np.array([x * 1e-6, y * 1e-6, 0.0]), [1, 1, 1]) for x, y in away]
+    views[3] = (views[3][0], [-1, -1, 1])
+    for turn, side in turns:
+        alpha = turn if kinematics == "moves_microscope" else -turn
+        d = eta - rotation(alpha) @ eta
+        x = {
+            "moves_microscope": d,
+            "specimen_rotation_on_top": -rotation(-alpha) @ d,
+            "specimen_xy_on_top": -d,
+        }[kinematics]
+        views.append((np.array([*x, turn]), [side, -side, side]))
+    return views
+
+
+def case(name, kinematics, m, eta, backlash, arrival, turns, seed):
+    rng = np.random.default_rng(seed)
+    views = path(kinematics, eta, turns)
+    sigma = np.array([a or 0.0 for a in arrival])
+    true = [r - np.array(s) * backlash / 2 + sigma * rng.normal(size=3) for r, s in views]
+    pairs = []
+    for j in range(len(views)):
+        for i in range(j):
+            b = shown(kinematics, true[i], true[j], m, eta)
+            if abs(b[0]) < 380 and abs(b[1]) < 290:
+                pairs.append((i, j, b + NOISE * rng.normal(size=3)))
+    n = len(views)
+    moving = np.array([a is not None for a in arrival])
+    free = np.concatenate([np.tile(moving, n), moving, np.ones(4, bool), np.repeat(moving[2], 2)])
+    unit = np.concatenate([np.tile(POSE_UNIT, n), INSTRUMENT_UNIT])
+    start = np.concatenate([np.concatenate([r for r, _ in views]), np.zeros(3), (1.002 * m).ravel(), eta + [2e-5, -1e-5]])
+    if not moving[2]:
+        start[-2:] = 0.0
+
+    def unpack(z):
+        u = start.copy()
+        u[free] += (z * unit[free])
+        return u[: 3 * n].reshape(n, 3), u[3 * n : 3 * n + 3], u[3 * n + 3 : 3 * n + 7].reshape(2, 2), u[3 * n + 7 :]
+
+    def residuals(z):
+        poses, play, map_, centre = unpack(z)
+        out = [((shown(kinematics, poses[i], poses[j], map_, centre) - b) / NOISE) for i, j, b in pairs]
+        for pose, (reported, side) in zip(poses, views):
+            off = pose - reported + np.array(side) * play / 2
+            out.append(off[moving] / sigma[moving])
+        out.append((play / PRIORS["backlash"])[moving])
+        out.append(centre / PRIORS["lever_m"])
+        return np.concatenate(out)
+
+    fit = least_squares(residuals, np.zeros(free.sum()), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200)
+    _, play, map_, centre = unpack(fit.x)
+    covariance = np.zeros((len(free), len(free)))
+    covariance[np.ix_(free, free)] = np.linalg.inv(fit.jac.T @ fit.jac) * np.outer(unit[free], unit[free])
+    numbers = np.concatenate([play, map_.ravel(), centre])
+    stored = {
+        "made_by": "make_cases.py, scipy.optimize.least_squares",
+        "priors": {"kinematics": kinematics, "arrival": arrival, **PRIORS},
+        "views": [
+            {"optics": 0, "reported": {"x_m": r[:2].tolist(), "theta_rad": float(r[2])}, "approach": s} for r, s in views
+        ],
+        "pairs": [
+            {"fixed": i, "found": j, "centre_px": b[:2].tolist(), "angle_rad": float(b[2]), "covariance": np.diag(NOISE**2).tolist()}
+            for i, j, b in pairs
+        ],
+        "numbers": numbers.tolist(),
+        "covariance": covariance[3 * n :, 3 * n :].ravel().tolist(),
+        "chi_sq": float(2 * fit.cost),
+    }
+    text = json.dumps(stored)
+    (Path(__file__).parent / f"case_{name}.json").write_text(text + "\n")
+    print(name, len(pairs), "pairs, chi-square", 2 * fit.cost, fit.message)
+
+
+if __name__ == "__main__":
+    paper = np.array([[5.11e-9, 5.0471e-7], [5.1197e-7, -5.04e-9]])
+    turned = rotation(2.1) @ np.array([[1.0, 0.01], [0.0, 1.005]]) * 0.4e-6
+    hexapod, table = [0.15e-6, 0.15e-6, 3e-6], [0.3e-6, 0.3e-6, 2e-5]
+    turns = [(8e-5, 1), (4e-3, 1), (0.1, 1), (0.05, -1), (0.0, -1), (-0.1, -1), (-0.05, 1), (0.0, 1)]
+    case("hexapod", "moves_microscope", paper, np.array([0.12491, 0.00012]), np.array([5e-6, 2e-6, 2e-5]), hexapod, turns, 1)
+    case("table", "specimen_rotation_on_top", turned, np.array([0.003, -0.002]), np.array([0.0, 20e-6, 5e-5]), table, turns, 2)
+    case("xy", "specimen_xy_on_top", paper, np.zeros(2), np.array([2e-6, 1e-6, 0.0]), [0.3e-6, 0.3e-6, None], [], 3)
