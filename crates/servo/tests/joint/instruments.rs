@@ -142,3 +142,19 @@ fn objectives_share_the_backlash_and_but_for_a_little_the_rotation_centre() {
     let sigma_m = fit.optics_covariance(1)[4][4].sqrt();
     assert!(sigma_m < 16e-6, "{sigma_m}");
 }
+
+#[test]
+fn an_arm_ends_where_there_is_nothing_to_see_and_the_rest_goes_on() {
+    let mut world = World::hexapod(5);
+    world.backlash = [2e-6, 4e-6, 1e-5];
+    world.extent_m = 0.45e-3;
+    let run = world.calibrate(&PathOptions::default(), HOME);
+    let fit = run.fit.unwrap();
+    assert_eq!(run.taken.iter().filter(|t| !t.found).count(), 4);
+    assert!(distance_sq(&world.off(&fit), &fit).0 < chi_999(9));
+    assert!(
+        sigma(&fit)[0] < 6e-4 && sigma(&fit)[3] < 5.0,
+        "{:?}",
+        sigma(&fit)
+    );
+}

@@ -19,6 +19,8 @@ pub(crate) struct World {
     pub(crate) backlash: [f64; 3],
     pub(crate) scatter: [f64; 3],
     pub(crate) reach: [f64; 3],
+    /// How far from the first view there is something to see, m.
+    pub(crate) extent_m: f64,
     rng: SplitMix64,
     /// Where the play has left each axis, before it scatters.
     contact: [f64; 3],
@@ -50,6 +52,7 @@ impl World {
             backlash: [0.0; 3],
             scatter: HEXAPOD,
             reach: [17e-3, 16e-3, 21f64.to_radians()],
+            extent_m: 1.0,
             rng: SplitMix64::new(seed),
             contact: [0.0; 3],
             truly: Vec::new(),
@@ -120,6 +123,11 @@ impl World {
 
     /// What a registration says of two views; `None` where they do not overlap.
     pub(crate) fn pair(&mut self, fixed: usize, found: usize) -> Option<Pair> {
+        let centre = |view: usize| self.specimen(view, [0.0; 2]);
+        let (first, here) = (centre(0), centre(found));
+        if f64::hypot(here[0] - first[0], here[1] - first[1]) > self.extent_m {
+            return None;
+        }
         let see = |p: Vec2| self.pixel(fixed, self.specimen(found, p));
         let (o, x, y) = (see([0.0; 2]), see([1e3, 0.0]), see([0.0, 1e3]));
         if o[0].abs() > 0.75 * 640.0 || o[1].abs() > 0.75 * 480.0 {
@@ -160,6 +168,7 @@ impl World {
                 image_size_px: [640, 480],
                 nominal_m_per_px: 0.5e-6,
                 start,
+                optics: 0,
                 taken: &so_far,
                 fit: known.as_ref(),
             };

@@ -13,10 +13,13 @@ mod fit;
 mod minimise;
 mod model;
 mod path;
+mod plan;
 mod play;
+mod prospect;
 mod sight;
 mod start;
 
 pub use fit::{JointFit, fit};
 pub use model::{Instrument, Optics, Pair, Priors, View};
-pub use path::{Known, Next, PathOptions, Role, Taken, next_view, partners};
+pub use path::{next_view, partners};
+pub use plan::{Known, Next, PathOptions, Role, Taken};
