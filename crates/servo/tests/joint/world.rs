@@ -22,6 +22,11 @@ pub(crate) struct World {
     /// How far from the first view there is something to see, m.
     pub(crate) extent_m: f64,
     rng: SplitMix64,
+    /// An axis that is not asked elsewhere stays as it stands; else it arrives anew with each move of another.
+    pub(crate) sticks: bool,
+    /// Where each axis was asked to go, and how far beside it scattered.
+    asked: [f64; 3],
+    scattered: [f64; 3],
     /// Where the play has left each axis, before it scatters.
     contact: [f64; 3],
     truly: Vec<[f64; 3]>,
@@ -54,6 +59,9 @@ impl World {
             reach: [17e-3, 16e-3, 21f64.to_radians()],
             extent_m: 1.0,
             rng: SplitMix64::new(seed),
+            sticks: false,
+            asked: [f64::NAN; 3],
+            scattered: [0.0; 3],
             contact: [0.0; 3],
             truly: Vec::new(),
         }
@@ -72,9 +80,13 @@ impl World {
 
     fn go(&mut self, pose: &PlanarPose) {
         let asked = [pose.x_m[0], pose.x_m[1], pose.theta_rad];
-        for k in 0..3 {
+        for (k, asked) in asked.into_iter().enumerate() {
             let half = self.backlash[k] / 2.0;
-            self.contact[k] = self.contact[k].clamp(asked[k] - half, asked[k] + half);
+            self.contact[k] = self.contact[k].clamp(asked - half, asked + half);
+            let redrawn = self.scatter[k] * self.rng.normal();
+            if asked != self.asked[k] || !self.sticks {
+                (self.asked[k], self.scattered[k]) = (asked, redrawn);
+            }
         }
     }
 
@@ -83,7 +95,7 @@ impl World {
         let axes = if self.turns { 3 } else { 2 };
         let mut truly = self.contact;
         for (k, truly) in truly.iter_mut().enumerate().take(axes) {
-            *truly += self.scatter[k] * self.rng.normal();
+            *truly += self.scattered[k];
         }
         self.truly.push(truly);
     }
@@ -190,6 +202,7 @@ impl World {
                     optics: 0,
                     reported: next.pose,
                     approach: next.approach,
+                    arrived: next.arrived,
                 },
                 found: index == 0 || !seen.is_empty(),
             });

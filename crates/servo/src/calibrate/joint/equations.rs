@@ -2,6 +2,7 @@
 
 use super::model::{OPTICS, Order, Pair, Priors, Unknowns, View, axes};
 use super::sight::{Derivative, Shown, Sight, shown, shown_by, sight};
+use super::three::{dot, times};
 use scopeservo_geometry::cholesky_inverse;
 
 /// The measurements, each pair with its weight.
@@ -14,6 +15,9 @@ pub(super) struct Problem<'a> {
     pub(super) weights: &'a [f64],
 }
 
+/// What an axis that is not asked to move moves, as a share of its scatter: nearly nothing.
+const STANDS: f64 = 0.01;
+
 /// `step = -information^-1 gradient`, information row by row.
 pub(super) struct Normal {
     pub(super) information: Vec<f64>,
@@ -21,7 +25,7 @@ pub(super) struct Normal {
 }
 
 impl Normal {
-    /// Adds `1/2 information |by . step + residual|^2` over a few unknowns.
+    /// Adds `certainty (by . step + residual)^2 / 2` over a few unknowns.
     fn add_row(&mut self, by: &[(usize, f64)], residual: f64, certainty: f64) {
         let n = self.gradient.len();
         for &(i, a) in by {
@@ -36,7 +40,7 @@ impl Normal {
     fn add(&mut self, by: &[(usize, Shown)], residual: &Shown, certainty: &[[f64; 3]; 3]) {
         let n = self.gradient.len();
         for &(i, a) in by {
-            let a = product(certainty, &a);
+            let a = times(certainty, &a);
             self.gradient[i] += dot(&a, residual);
             for (j, b) in by {
                 self.information[i * n + j] += dot(&a, b);
@@ -52,15 +56,6 @@ impl Normal {
         }
         (self.information[k * n + k], self.gradient[k]) = (1.0, 0.0);
     }
-}
-
-fn dot(a: &Shown, b: &Shown) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// A symmetric 3x3 matrix times a vector.
-fn product(m: &[[f64; 3]; 3], v: &Shown) -> Shown {
-    m.map(|row| dot(&row, v))
 }
 
 /// An angle in (-pi, pi].
@@ -137,7 +132,15 @@ impl Problem<'_> {
             for (v, (view, pose)) in self.views.iter().zip(&at.poses).enumerate() {
                 let half = f64::from(view.approach[k]) / 2.0;
                 let off = axes(pose)[k] - axes(&view.reported)[k] + half * backlash;
-                rows.push((vec![(order.pose(v) + k, 1.0), (play, half)], off, sigma));
+                let here = order.pose(v) + k;
+                if view.arrived[k] || v == 0 {
+                    rows.push((vec![(here, 1.0), (play, half)], off, sigma));
+                } else {
+                    let before = axes(&at.poses[v - 1])[k] - axes(&self.views[v - 1].reported)[k];
+                    let stood = axes(pose)[k] - axes(&view.reported)[k] - before;
+                    let by = vec![(here, 1.0), (here - 3, -1.0)];
+                    rows.push((by, stood, STANDS * sigma));
+                }
             }
         }
         let centre =
@@ -176,7 +179,7 @@ impl Problem<'_> {
             .sum();
         for (pair, weight) in self.pairs.iter().zip(self.weights) {
             let off = self.residual(at, pair)?;
-            cost += weight * dot(&off, &product(&cholesky_inverse(&pair.covariance)?, &off));
+            cost += weight * dot(&off, &times(&cholesky_inverse(&pair.covariance)?, &off));
         }
         cost.is_finite().then_some(cost)
     }

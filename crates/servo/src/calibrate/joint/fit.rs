@@ -4,6 +4,7 @@ use super::equations::Problem;
 use super::minimise::minimise;
 use super::model::{Instrument, OPTICS, Order, Pair, Priors, Unknowns, View};
 use super::start::start;
+use super::three::{Three, dot, entries, inverse, product, times};
 use crate::kinematics::PlanarPose;
 use scopeservo_geometry::{Cholesky, cholesky_inverse};
 
@@ -113,51 +114,34 @@ impl Solved {
         })
     }
 
-    /// For each pair how far it is from what all others expect of it, squared, in standard deviations of both: Baarda's test.
-    ///
-    /// With residual r, its covariance R, weight w and Q the covariance of what the fit expects, this pair included: without it the
-    /// residual is `e = (1 - w Q R^-1)^-1 r`, with covariance `R + (1 - w Q R^-1)^-1 Q`.
+    /// For each pair how far it is from what all others expect of it, squared, in standard deviations of both: Baarda's test. None where
+    /// nothing else says anything of it.
     fn contradictions(&self, problem: &Problem) -> Option<Vec<f64>> {
-        let n = self.at.order().count();
-        let each = problem
-            .pairs
-            .iter()
-            .zip(problem.weights)
+        let pairs = problem.pairs.iter().zip(problem.weights);
+        pairs
             .map(|(pair, weight)| {
                 let (off, by) = problem.linear(&self.at, pair)?;
-                let certainty = cholesky_inverse(&pair.covariance)?;
-                let mut expected = [[0.0; 3]; 3];
-                for (i, a) in &by {
-                    for (j, b) in &by {
-                        let c = self.covariance[i * n + j];
-                        for r in 0..3 {
-                            for s in 0..3 {
-                                expected[r][s] += a[r] * c * b[s];
-                            }
-                        }
+                let expected = self.expected(&by);
+                Some(contradiction_sq(&off, &pair.covariance, &expected, *weight).unwrap_or(0.0))
+            })
+            .collect()
+    }
+
+    /// The covariance of what the fit expects of a pair, by its derivative.
+    fn expected(&self, by: &[(usize, Three)]) -> [Three; 3] {
+        let n = self.at.order().count();
+        let mut expected = [[0.0; 3]; 3];
+        for (i, a) in by {
+            for (j, b) in by {
+                let c = self.covariance[i * n + j];
+                for (row, a) in expected.iter_mut().zip(a) {
+                    for (cell, b) in row.iter_mut().zip(b) {
+                        *cell += a * c * b;
                     }
                 }
-                let share = product(&expected, &certainty);
-                let rest: [[f64; 3]; 3] = std::array::from_fn(|r| {
-                    std::array::from_fn(|s| f64::from(u8::from(r == s)) - weight * share[r][s])
-                });
-                // Whom nobody else contradicts or confirms is right.
-                let Some(rest) = inverse(&rest) else {
-                    return Some(0.0);
-                };
-                let e = rest.map(|row| dot(&row, &off));
-                let mut scatter = product(&rest, &expected);
-                for r in 0..3 {
-                    for s in 0..3 {
-                        scatter[r][s] += pair.covariance[r][s];
-                    }
-                }
-                let Some(certainty) = cholesky_inverse(&scatter) else {
-                    return Some(0.0);
-                };
-                Some(dot(&e, &certainty.map(|row| dot(&row, &e))))
-            });
-        each.collect()
+            }
+        }
+        expected
     }
 
     fn told(self, problem: &Problem) -> JointFit {
@@ -182,6 +166,25 @@ impl Solved {
     }
 }
 
+/// The square of a residual that a pair would have in a fit without it, in standard deviations.
+///
+/// With residual r, its covariance R, weight w, and Q the covariance of what the fit expects, this pair included: without it the residual is
+/// `e = (1 - w Q R^-1)^-1 r`, with covariance `R + (1 - w Q R^-1)^-1 Q`. `None` where the fit follows this pair alone.
+fn contradiction_sq(
+    r: &Three,
+    own: &[Three; 3],
+    expected: &[Three; 3],
+    weight: f64,
+) -> Option<f64> {
+    let share = product(expected, &cholesky_inverse(own)?);
+    let left = entries(|i, j| f64::from(u8::from(i == j)) - weight * share[i][j]);
+    let without = inverse(&left)?;
+    let e = times(&without, r);
+    let scatter = product(&without, expected);
+    let certainty = cholesky_inverse(&entries(|i, j| own[i][j] + scatter[i][j]))?;
+    Some(dot(&e, &times(&certainty, &e)))
+}
+
 /// How many numbers of the instrument the measurements determine, where the prior alone would not: one less what is left of its variance.
 fn determined(problem: &Problem, order: Order, covariance: &[f64]) -> f64 {
     let n = order.count();
@@ -202,23 +205,4 @@ fn determined(problem: &Problem, order: Order, covariance: &[f64]) -> f64 {
         .filter(|(k, _)| !held.contains(k))
         .map(|(k, sigma)| learnt(k, sigma).max(0.0));
     4.0 * order.optics as f64 + others.sum::<f64>()
-}
-
-fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-fn product(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
-    std::array::from_fn(|r| std::array::from_fn(|s| (0..3).map(|k| a[r][k] * b[k][s]).sum()))
-}
-
-/// Inverse of a 3x3 matrix by its cofactors; `None` where it is singular to working precision.
-fn inverse(m: &[[f64; 3]; 3]) -> Option<[[f64; 3]; 3]> {
-    let cofactor = |r: usize, s: usize| {
-        let at = |i: usize, j: usize| m[(r + i) % 3][(s + j) % 3];
-        at(1, 1) * at(2, 2) - at(1, 2) * at(2, 1)
-    };
-    let det: f64 = (0..3).map(|s| m[0][s] * cofactor(0, s)).sum();
-    (det.abs() > 1e-20)
-        .then(|| std::array::from_fn(|r| std::array::from_fn(|s| cofactor(s, r) / det)))
 }

@@ -18,6 +18,7 @@ mod play;
 mod prospect;
 mod sight;
 mod start;
+mod three;
 
 pub use fit::{JointFit, fit};
 pub use model::{Instrument, Optics, Pair, Priors, View};

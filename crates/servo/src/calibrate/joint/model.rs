@@ -14,6 +14,8 @@ pub struct View {
     pub reported: PlanarPose,
     /// x, y, rotation: 1 where the axis arrived going up, -1 going down, with its play taken up.
     pub approach: [i8; 3],
+    /// Whether the axis has arrived anew since the view before; else it stands as it stood there, with whatever it was off.
+    pub arrived: [bool; 3],
 }
 
 /// Two overlapping views, registered: where the one's pixels lie in the other.

@@ -9,7 +9,7 @@
 //!   rotation centre at once. They end when both are known well enough.
 
 use super::plan::{Known, Next, PathOptions, Role, Taken};
-use super::play::{Arrival, arrive};
+use super::play::{Arrival, arrive, settled};
 use super::prospect::Prospect;
 use crate::kinematics::PlanarPose;
 use scopeservo_geometry::Vec2;
@@ -55,13 +55,19 @@ pub fn next_view(
         .taken
         .last()
         .map(|t| (&t.view.reported, t.view.approach));
+    let pose = from.map_or(pose, |(from, _)| settled(from, &pose));
     let same_side = matches!(role, Role::Arm { .. });
-    let Arrival { via, approach } = arrive(from, &pose, path.play(), same_side, allowed)?;
+    let Arrival {
+        via,
+        approach,
+        moved,
+    } = arrive(from, &pose, path.play(), same_side, allowed)?;
     Some(Next {
         role,
         via,
         pose,
         approach,
+        arrived: moved.map(|moved| moved || options.coupled),
     })
 }
 
@@ -132,7 +138,7 @@ impl Prospect<'_> {
         let reference = self.reference();
         let taken = self.known.taken.iter();
         let made = taken.filter(|t| t.role == role && t.found);
-        let gone_m = made.clone().last().map_or(0.0, |t| {
+        let gone_m = made.clone().next_back().map_or(0.0, |t| {
             (0..2)
                 .map(|k| (t.view.reported.x_m[k] - reference.x_m[k]) * arm[k])
                 .sum()

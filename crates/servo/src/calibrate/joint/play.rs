@@ -5,8 +5,17 @@ use crate::kinematics::PlanarPose;
 
 /// So many times the largest play an axis goes to take it up.
 const RUN_UP: f64 = 1.5;
-/// An axis that is asked for less stays where it is, m or rad.
-const STAYS: f64 = 1e-10;
+/// An axis that is asked for less stays where it is, m or rad: no stage that scatters by 0.1 um makes steps so small.
+const STAYS: f64 = 1e-8;
+
+/// A pose, but where an axis would hardly move, where it is.
+pub(super) fn settled(from: &PlanarPose, to: &PlanarPose) -> PlanarPose {
+    let stays = |from: f64, to: f64| if (to - from).abs() < STAYS { from } else { to };
+    PlanarPose {
+        x_m: [0, 1].map(|k| stays(from.x_m[k], to.x_m[k])),
+        theta_rad: stays(from.theta_rad, to.theta_rad),
+    }
+}
 
 /// How a pose is reached.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,6 +24,8 @@ pub(super) struct Arrival {
     pub(super) via: Option<PlanarPose>,
     /// From which side each axis then comes.
     pub(super) approach: [i8; 3],
+    /// Which axes move for it.
+    pub(super) moved: [bool; 3],
 }
 
 /// How to get to a pose with all play taken up, from a pose that was reached so. An axis that turns back by less than its play may have
@@ -28,7 +39,7 @@ pub(super) fn arrive(
     allowed: &dyn Fn(&PlanarPose) -> bool,
 ) -> Option<Arrival> {
     (0..8).find_map(|flipped: u8| {
-        let (mut via, mut approach) = (axes(to), [1; 3]);
+        let (mut via, mut approach, mut moved) = (axes(to), [1; 3], [true; 3]);
         for k in 0..3 {
             let goal = axes(to)[k];
             let side = match from {
@@ -37,6 +48,7 @@ pub(super) fn arrive(
                     let way = goal - axes(from)[k];
                     let side = if way < 0.0 { -1 } else { 1 };
                     approach[k] = before[k];
+                    moved[k] = way.abs() >= STAYS;
                     match way.abs() {
                         w if w < STAYS => Some(before[k]),
                         _ if side == before[k] => Some(side),
@@ -62,6 +74,7 @@ pub(super) fn arrive(
         allowed(&via).then_some(Arrival {
             via: (via != *to).then_some(via),
             approach,
+            moved,
         })
     })
 }

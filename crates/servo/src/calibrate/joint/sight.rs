@@ -10,6 +10,7 @@
 //! centre `M_a^-1 u` and the rotation nearest to `M_a^-1 R(alpha) M_b`.
 
 use super::model::{OPTICS, Optics};
+use super::three::Three;
 use crate::kinematics::PlanarPose;
 use scopeservo_geometry::{Mat2, Vec2};
 use scopeservo_scope::Kinematics;
@@ -59,7 +60,7 @@ pub(super) fn sight(kinematics: Kinematics, pose: &PlanarPose, centre_m: Vec2) -
 }
 
 /// What a pair shows: the centre, px, and the angle, rad.
-pub(super) type Shown = [f64; 3];
+pub(super) type Shown = Three;
 
 /// The derivative of [`Shown`] by the poses of a and b and by the optics of a and b, each by columns.
 pub(super) struct Derivative {
