@@ -18,6 +18,13 @@ pub(super) struct Problem<'a> {
 /// What an axis that is not asked to move moves, as a share of its scatter: nearly nothing.
 const STANDS: f64 = 0.01;
 
+/// Something known beforehand: a residual with its derivative by a few unknowns, and its standard deviation.
+struct PriorRow {
+    by: Vec<(usize, f64)>,
+    off: f64,
+    sigma: f64,
+}
+
 /// `step = -information^-1 gradient`, information row by row.
 pub(super) struct Normal {
     pub(super) information: Vec<f64>,
@@ -118,28 +125,31 @@ impl Problem<'_> {
         Some((off, by))
     }
 
-    /// What is known beforehand: for each row the unknowns with their factors, the residual and its standard deviation.
-    fn prior_rows(&self, at: &Unknowns) -> Vec<(Vec<(usize, f64)>, f64, f64)> {
+    fn prior_rows(&self, at: &Unknowns) -> Vec<PriorRow> {
         let (order, priors) = (at.order(), self.priors);
         let mut rows = Vec::new();
+        let mut add = |by: &[(usize, f64)], off, sigma| {
+            let by = by.to_vec();
+            rows.push(PriorRow { by, off, sigma });
+        };
         for k in 0..3 {
             let Some(sigma) = priors.arrival[k] else {
                 continue;
             };
             let backlash = at.instrument.backlash[k];
             let play = order.backlash() + k;
-            rows.push((vec![(play, 1.0)], backlash, priors.backlash[k]));
+            add(&[(play, 1.0)], backlash, priors.backlash[k]);
             for (v, (view, pose)) in self.views.iter().zip(&at.poses).enumerate() {
                 let half = f64::from(view.approach[k]) / 2.0;
                 let off = axes(pose)[k] - axes(&view.reported)[k] + half * backlash;
                 let here = order.pose(v) + k;
                 if view.arrived[k] || v == 0 {
-                    rows.push((vec![(here, 1.0), (play, half)], off, sigma));
+                    add(&[(here, 1.0), (play, half)], off, sigma);
                 } else {
                     let before = axes(&at.poses[v - 1])[k] - axes(&self.views[v - 1].reported)[k];
                     let stood = axes(pose)[k] - axes(&view.reported)[k] - before;
-                    let by = vec![(here, 1.0), (here - 3, -1.0)];
-                    rows.push((by, stood, STANDS * sigma));
+                    let by = [(here, 1.0), (here - 3, -1.0)];
+                    add(&by, stood, STANDS * sigma);
                 }
             }
         }
@@ -147,11 +157,11 @@ impl Problem<'_> {
             |o: usize, k: usize| (order.optics(o) + 4 + k, at.instrument.optics[o].centre_m[k]);
         for k in 0..2 {
             let (first, value) = centre(0, k);
-            rows.push((vec![(first, 1.0)], value, priors.lever_m));
+            add(&[(first, 1.0)], value, priors.lever_m);
             for o in 1..order.optics {
                 let (other, other_value) = centre(o, k);
-                let by = vec![(other, 1.0), (first, -1.0)];
-                rows.push((by, other_value - value, priors.parcentric_m));
+                let by = [(other, 1.0), (first, -1.0)];
+                add(&by, other_value - value, priors.parcentric_m);
             }
         }
         rows
@@ -173,10 +183,7 @@ impl Problem<'_> {
     /// Twice the negative logarithm of the likelihood: chi-square where all weights are 1. `None` where a map is singular.
     pub(super) fn cost(&self, at: &Unknowns) -> Option<f64> {
         let rows = self.prior_rows(at);
-        let mut cost: f64 = rows
-            .iter()
-            .map(|(_, off, sigma)| (off / sigma).powi(2))
-            .sum();
+        let mut cost: f64 = rows.iter().map(|row| (row.off / row.sigma).powi(2)).sum();
         for (pair, weight) in self.pairs.iter().zip(self.weights) {
             let off = self.residual(at, pair)?;
             cost += weight * dot(&off, &times(&cholesky_inverse(&pair.covariance)?, &off));
@@ -192,7 +199,7 @@ impl Problem<'_> {
             information: vec![0.0; n * n],
             gradient: vec![0.0; n],
         };
-        for (by, off, sigma) in self.prior_rows(at) {
+        for PriorRow { by, off, sigma } in self.prior_rows(at) {
             normal.add_row(&by, off, 1.0 / (sigma * sigma));
         }
         for (pair, weight) in self.pairs.iter().zip(self.weights) {
