@@ -69,6 +69,10 @@ pub(crate) struct CalibrationJson {
     pub(crate) ky_px_per_m: Option<f64>,
     pub(crate) phi_deg: Option<f64>,
     pub(crate) rotation_centre_mm: Option<[f64; 2]>,
+    /// x, y (um), rotation (deg).
+    pub(crate) backlash: Option<[f64; 3]>,
+    /// Of one move of 100 um and, where the stage turns, 1 deg: standard deviation of the distance, um.
+    pub(crate) expected_error_um: Option<f64>,
     pub(crate) full: Calibration,
 }
 
@@ -92,6 +96,17 @@ pub(crate) fn magnifications(outcome: &Outcome) -> Vec<MagnificationJson> {
         .collect()
 }
 
+/// The move whose expected error is told, m and rad.
+pub(crate) const EXAMPLE_MOVE: (f64, f64) = (100e-6, std::f64::consts::PI / 180.0);
+
+/// How far one move is expected to end from where it should: the standard deviation of the distance, um.
+pub(crate) fn expected_error_um(c: &Calibration) -> Option<f64> {
+    let (moved_m, turned_rad) = EXAMPLE_MOVE;
+    let turned_rad = c.rotation_centre_m.map_or(0.0, |_| turned_rad);
+    let sigma_m = c.move_sigma_m(moved_m, turned_rad)?;
+    Some(2f64.sqrt() * sigma_m * 1e6)
+}
+
 pub(crate) fn calibration(c: &Calibration) -> CalibrationJson {
     let reading = c.reading();
     CalibrationJson {
@@ -100,6 +115,10 @@ pub(crate) fn calibration(c: &Calibration) -> CalibrationJson {
         ky_px_per_m: reading.map(|r| r.ky_px_per_m),
         phi_deg: reading.map(|r| r.phi_rad.to_degrees()),
         rotation_centre_mm: c.rotation_centre_m.map(|e| e.map(|v| v * 1e3)),
+        backlash: c
+            .backlash
+            .map(|b| [b.x_m * 1e6, b.y_m * 1e6, b.rz_rad.to_degrees()]),
+        expected_error_um: expected_error_um(c),
         full: c.clone(),
     }
 }

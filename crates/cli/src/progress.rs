@@ -20,6 +20,9 @@ pub(crate) struct Watcher {
     first_error_um: f64,
 }
 
+/// A calibration takes so many views, about.
+const CALIBRATION_VIEWS: f64 = 36.0;
+
 impl Watcher {
     pub(crate) fn new(views: Option<ViewWriter>) -> Self {
         let bar = ProgressBar::new(1000);
@@ -79,6 +82,10 @@ impl Watcher {
                 // Who turned the nosepiece is told, bar or not, and before being asked again.
                 self.bar
                     .suspend(|| tell!("{}", identified(objective, identity)));
+            }
+            Event::CalibrationView { index, .. } => {
+                self.show(CALIBRATE * (*index as f64 / CALIBRATION_VIEWS).min(1.0));
+                return;
             }
             Event::Calibrated { .. } => self.done += CALIBRATE,
             Event::Iteration {

@@ -72,7 +72,10 @@ fn out_of_reach() -> tempfile::TempDir {
     describe(dir.path(), ONE_OBJECTIVE);
     let saved = scopeservo(dir.path(), &["target", "save", "spot", "--focus"]);
     assert_eq!(code(&saved), 0, "{}", stderr(&saved));
-    let made = scopeservo(dir.path(), &["calibrate", "--no-focus"]);
+    let made = scopeservo(
+        dir.path(),
+        &["calibrate", "--no-focus", "--method", "two-step"],
+    );
     assert_eq!(code(&made), 0, "{}", stderr(&made));
     let moved = format!("{ONE_OBJECTIVE}\ncentre_um = [9000, 9000]");
     describe(dir.path(), &moved);
@@ -97,7 +100,10 @@ fn not_found_is_exit_3_whoever_reads_it() {
 fn a_reader_who_leaves_does_not_cut_the_work_short() {
     let dir = tempfile::tempdir().unwrap();
     describe(dir.path(), "objectives = [\"10x\", \"20x\"]");
-    assert_eq!(unread(dir.path(), &["calibrate"]), Some(0));
+    assert_eq!(
+        unread(dir.path(), &["calibrate", "--method", "two-step"]),
+        Some(0)
+    );
     for objective in ["10x", "20x"] {
         let kept = dir.path().join("scopeservo-data/calibrations");
         let kept = fs::read_dir(kept.join(objective)).unwrap();

@@ -12,7 +12,10 @@ const BY_HAND: &str = "stage = \"xy\"\nobjectives = [\"40x\"]\n";
 fn a_target_is_carried_to_another_microscope_and_found_there() {
     let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     describe(here.path(), BY_HAND);
-    ok(here.path(), &["calibrate", "--no-focus", "--json"]);
+    ok(
+        here.path(),
+        &["calibrate", "--no-focus", "--json", "--method", "two-step"],
+    );
     ok(here.path(), &["target", "save", "spot", "--json"]);
     let file = there.path().join("carried.target");
     let file = file.to_str().unwrap();

@@ -185,6 +185,8 @@ mod tests {
             stage_from_pixel: Mat2::diagonal(um_per_px * 1e-6, um_per_px * 1e-6),
             rotation_centre_m: None,
             covariance: None,
+            backlash: None,
+            scatter: None,
         }
     }
 
@@ -242,6 +244,8 @@ mod tests {
             stage_from_pixel: Mat2([[-5.1e-7, 1e-8], [1e-8, 5.0e-7]]),
             rotation_centre_m: Some([-0.01, 0.2]),
             covariance: Some([[1e-20; 6]; 6]),
+            backlash: None,
+            scatter: None,
         };
         assert_eq!(judge(&sound, &objective), Ok(()));
         let scaled = |f: f64| Mat2(sound.stage_from_pixel.0.map(|row| row.map(|v| f * v)));

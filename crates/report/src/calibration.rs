@@ -60,13 +60,28 @@ fn card(r: &Report<'_>, c: &Calibrating<'_>) -> String {
             }
             let residual = if residual_px.is_finite() {
                 format!(
-                    ", {} px left over (root mean square)",
+                    ", {} px from where the stage says that it was (root mean square)",
                     fixed(residual_px, 3)
                 )
             } else {
                 String::new()
             };
             let _ = writeln!(out, "<p>From {}{residual}.</p>", count(views, "view"));
+            if let Some(b) = calibration.backlash {
+                let um = |v: f64, sigma: f64| {
+                    format!(
+                        "{} <small>± {}</small> µm",
+                        fixed(1e6 * v, 2),
+                        fixed(1e6 * sigma, 2)
+                    )
+                };
+                let _ = writeln!(
+                    out,
+                    "<p>Backlash: <i>x</i> {}, <i>y</i> {}.</p>",
+                    um(b.x_m, b.sigma[0]),
+                    um(b.y_m, b.sigma[1])
+                );
+            }
         }
     }
     out.push_str(&shifts(c));
@@ -273,6 +288,8 @@ mod tests {
             stage_from_pixel: map,
             rotation_centre_m: None,
             covariance: Some(covariance),
+            backlash: None,
+            scatter: None,
         };
         let s = sigma(&c, |c| Some(c.reading()?.kx_px_per_m)).unwrap();
         assert!((s / (1e-3 * kx.abs()) - 1.0).abs() < 1e-3, "{s}");

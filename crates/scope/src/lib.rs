@@ -44,7 +44,7 @@ pub use clock::{Clock, SystemClock, Timestamp, VirtualClock};
 pub use devices::Devices;
 pub use error::{ErrorKind, Remedy, ScopeError};
 pub use flat_field::FlatField;
-pub use gate::{AtWork, MotionGate, Obeying};
+pub use gate::{AtWork, Goals, MotionGate, Obeying};
 pub use instrument::{Counters, Instrument};
 pub use light::{Light, check_level};
 pub use nosepiece::{KnownBy, Nosepiece, Objective};

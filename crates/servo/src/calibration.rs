@@ -28,6 +28,25 @@ pub struct Calibration {
     /// Covariance of (stage_from_pixel row-major in m/px, rotation_centre_m in m), when it is known. Without a rotation
     /// centre its rows and columns are zero.
     pub covariance: Option<[[f64; 6]; 6]>,
+    /// The play of the stage's axes, where it was measured.
+    #[serde(default)]
+    pub backlash: Option<Backlash>,
+    /// Standard deviations of where arrivals were seen to end: x, y (m), rotation (rad).
+    #[serde(default)]
+    pub scatter: Option<[f64; 3]>,
+}
+
+/// How far an axis stands behind where it says after it has turned round, true values.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Backlash {
+    /// Of x, m.
+    pub x_m: f64,
+    /// Of y, m.
+    pub y_m: f64,
+    /// Of the rotation, rad.
+    pub rz_rad: f64,
+    /// Standard deviations of the three; zero where there is no such axis.
+    pub sigma: [f64; 3],
 }
 
 fn known_schema<'de, D: serde::Deserializer<'de>>(from: D) -> Result<u32, D::Error> {
@@ -69,6 +88,37 @@ impl Calibration {
     /// Size of a pixel on the specimen, um: geometric mean of both directions.
     pub fn um_per_px(&self) -> f64 {
         self.stage_from_pixel.det().abs().sqrt() * 1e6
+    }
+
+    /// Standard deviations of where the stage stands beside where it says, x, y (m) and rotation (rad): `stated` ones, or what was seen where
+    /// that is more, and the play.
+    pub(crate) fn pose_sigma(&self, stated: [f64; 3]) -> [f64; 3] {
+        let seen = self.scatter.unwrap_or_default();
+        let play = self.backlash.map_or([0.0; 3], |b| [b.x_m, b.y_m, b.rz_rad]);
+        // Anywhere within its play is as likely.
+        std::array::from_fn(|k| stated[k].max(seen[k]).hypot(play[k] / 12f64.sqrt()))
+    }
+
+    /// Standard deviation, per coordinate, of where the view ends after one move that a picture told: the stage's scatter, and what the map
+    /// and the rotation centre are uncertain by, m. `None` where the calibration does not know its own.
+    pub fn move_sigma_m(&self, moved_m: f64, turned_rad: f64) -> Option<f64> {
+        let (c, [x, y, turn]) = (self.covariance?, self.scatter?);
+        let pixel_from_stage = self.pixel_from_stage()?;
+        // A map that is off by dM sees a move of length l off by l |dM M^-1|: half of it to either coordinate.
+        let along = |k: usize| [pixel_from_stage.0[0][k], pixel_from_stage.0[1][k]];
+        let share_sq: f64 = (0..2)
+            .flat_map(|row| (0..2).map(move |k| (row, along(k))))
+            .map(|(row, [a, b])| {
+                let cell = |i: usize, j: usize| c[2 * row + i][2 * row + j];
+                a * a * cell(0, 0) + 2.0 * a * b * cell(0, 1) + b * b * cell(1, 1)
+            })
+            .sum();
+        let lever_m = self
+            .rotation_centre_m
+            .map_or(0.0, |[a, b]| f64::hypot(a, b));
+        let scatter_sq = x * x + y * y + (lever_m * turn).powi(2);
+        let centre_sq = (c[4][4] + c[5][5]) * turned_rad.powi(2);
+        Some(((scatter_sq + centre_sq + share_sq / 2.0 * moved_m.powi(2)) / 2.0).sqrt())
     }
 
     /// The same axes with pixels of another size, um: another camera at the same objective.
@@ -135,6 +185,8 @@ mod tests {
             stage_from_pixel,
             rotation_centre_m: Some([0.125, 0.0]),
             covariance: None,
+            backlash: None,
+            scatter: None,
         }
     }
 
@@ -200,6 +252,28 @@ mod tests {
         let json = serde_json::to_string(&c).unwrap();
         let refused = serde_json::from_str::<Calibration>(&json).unwrap_err();
         assert!(refused.to_string().contains("calibrate again"), "{refused}");
+    }
+
+    #[test]
+    fn what_a_move_is_expected_to_miss_by_is_scatter_map_and_rotation_centre() {
+        let mut c = calibration(Mat2([[5e-7, 0.0], [0.0, 5e-7]]));
+        assert_eq!(c.move_sigma_m(1e-4, 0.01), None);
+        let mut covariance = [[0.0; 6]; 6];
+        // 1 % of a pixel's size in every number of the map, 10 um of the centre.
+        for (k, row) in covariance.iter_mut().enumerate() {
+            row[k] = if k < 4 {
+                5e-9f64.powi(2)
+            } else {
+                1e-5f64.powi(2)
+            };
+        }
+        (c.covariance, c.scatter) = (Some(covariance), Some([1e-7, 1e-7, 0.0]));
+        let near = |a: Option<f64>, b: f64| assert!((a.unwrap() / b - 1.0).abs() < 1e-9, "{a:?}");
+        near(c.move_sigma_m(0.0, 0.0), 1e-7);
+        near(c.move_sigma_m(0.0, 0.1), 1e-7f64.hypot(1e-6));
+        near(c.move_sigma_m(1e-4, 0.0), 1e-7f64.hypot(1e-6));
+        c.scatter = Some([0.0, 0.0, 1e-6]);
+        near(c.move_sigma_m(0.0, 0.0), 0.125e-6 / 2f64.sqrt());
     }
 
     #[test]

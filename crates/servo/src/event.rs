@@ -133,7 +133,7 @@ pub enum Event {
     /// A calibration was made.
     Calibrated {
         /// The calibration.
-        calibration: Calibration,
+        calibration: Box<Calibration>,
         /// Root mean square residual of its views, pixels.
         residual_px: f64,
         /// Views used.

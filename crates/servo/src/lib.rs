@@ -30,6 +30,7 @@ mod identity;
 mod kinematics;
 mod law;
 mod localize;
+mod one_side;
 mod pose;
 mod procedure;
 mod proof;
@@ -42,8 +43,8 @@ mod vision;
 mod words;
 
 pub use bring::Bring;
-pub use calibrate::{Calibrate, CalibrateOptions, joint};
-pub use calibration::{CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
+pub use calibrate::{Calibrate, CalibrateOptions, CalibrationMethod, joint};
+pub use calibration::{Backlash, CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
 pub use code::{ErrorCode, ErrorKind, Remedy};
 pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};

@@ -129,6 +129,8 @@ mod tests {
             stage_from_pixel,
             rotation_centre_m: Some([0.125, 0.001]),
             covariance: None,
+            backlash: None,
+            scatter: None,
         }
     }
 

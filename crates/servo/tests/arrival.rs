@@ -39,6 +39,19 @@ fn it_arrives_whichever_side_moves() {
 }
 
 #[test]
+fn it_arrives_on_a_stage_with_play_whose_moves_then_end_from_one_side() {
+    let mut stage = StageConfig::xyz_theta();
+    for axis in &mut stage.axes {
+        match axis.axis {
+            Axis::X | Axis::Y => axis.backlash = 20.0,
+            Axis::Rz => axis.backlash = 200.0,
+            _ => {}
+        }
+    }
+    assert_arrives(one_objective().with_stage(stage), 2.0);
+}
+
+#[test]
 fn it_arrives_with_a_mirrored_camera() {
     let mut config = one_objective();
     config.mount.mirrored = true;

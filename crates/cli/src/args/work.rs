@@ -2,11 +2,13 @@
 
 use super::common::{AnswerArgs, ConfigArgs, FocusingArgs, InstrumentArgs, ReportArgs};
 use clap::{Args, Subcommand};
+use scopeservo_servo::CalibrationMethod;
 
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   scopeservo calibrate                       every objective, from the lowest magnification up
-  scopeservo calibrate --objective 40x --json")]
+  scopeservo calibrate --objective 40x --json
+  scopeservo calibrate --method two-step     as in the paper: fewer views, ten times less precise")]
 pub(crate) struct CalibrateArgs {
     #[command(flatten)]
     pub(crate) instrument: InstrumentArgs,
@@ -16,10 +18,29 @@ pub(crate) struct CalibrateArgs {
     /// Do not focus first.
     #[arg(long)]
     pub(crate) no_focus: bool,
+    /// How: a chain of views, solved at once; or the paper's two steps about one view.
+    #[arg(long, value_enum, default_value = "joint")]
+    pub(crate) method: MethodArg,
     #[command(flatten)]
     pub(crate) focusing: FocusingArgs,
     #[command(flatten)]
     pub(crate) answer: AnswerArgs,
+}
+
+/// How to calibrate.
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+pub(crate) enum MethodArg {
+    Joint,
+    TwoStep,
+}
+
+impl From<MethodArg> for CalibrationMethod {
+    fn from(method: MethodArg) -> Self {
+        match method {
+            MethodArg::Joint => Self::Joint,
+            MethodArg::TwoStep => Self::TwoStep,
+        }
+    }
 }
 
 #[derive(Debug, Args)]

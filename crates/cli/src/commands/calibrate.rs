@@ -6,11 +6,11 @@ use crate::args::CalibrateArgs;
 use crate::error::CliError;
 use crate::journal::{Asked, Made};
 use crate::open_instrument::OpenInstrument;
-use crate::output::calibration as calibration_json;
+use crate::output::{EXAMPLE_MOVE, calibration as calibration_json, expected_error_um};
 use crate::progress::Watcher;
 use scopeservo_library::Calibrations as _;
 use scopeservo_scope::{Objective, ObjectiveId};
-use scopeservo_servo::Calibration;
+use scopeservo_servo::{CalibrateOptions, Calibration};
 use scopeservo_station::jobs::{CalibrateInput, CalibrateJob, CalibrateOutput};
 use serde_json::json;
 use std::path::Path;
@@ -33,6 +33,10 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
     let input = CalibrateInput {
         objectives,
         focus: (!args.no_focus).then_some(focus),
+        calibrate: CalibrateOptions {
+            method: args.method.into(),
+            ..CalibrateOptions::default()
+        },
         ..CalibrateInput::default()
     };
     let asked = Asked {
@@ -112,8 +116,10 @@ fn show_calibration(answer: &Answer, calibration: &Calibration, residual_px: Opt
         "{}: {:.4} um per pixel{}{}",
         calibration.objective,
         calibration.um_per_px(),
-        sigma.map_or(String::new(), |s| format!(" (+-{s:.2} %)")),
-        residual_px.map_or(String::new(), |r| format!(", views fit to {r:.2} px"))
+        sigma.map_or(String::new(), |s| format!(" (+-{s:.3} %)")),
+        residual_px.map_or(String::new(), |r| format!(
+            ", views are within {r:.2} px of where the stage says"
+        ))
     );
     if let Some(r) = calibration.reading() {
         say!(
@@ -134,5 +140,30 @@ fn show_calibration(answer: &Answer, calibration: &Calibration, residual_px: Opt
             eta[1] * 1e3
         ),
         None => say!(answer, "  the stage does not turn"),
+    }
+    if let Some(b) = calibration.backlash {
+        let um = |v: f64, sigma: f64| format!("{:.2} +- {:.2} um", 1e6 * v, 1e6 * sigma);
+        say!(
+            answer,
+            "  backlash: x {}, y {}{}",
+            um(b.x_m, b.sigma[0]),
+            um(b.y_m, b.sigma[1]),
+            match b.sigma[2] > 0.0 {
+                true => format!(
+                    ", rotation {:.4} +- {:.4} deg",
+                    b.rz_rad.to_degrees(),
+                    b.sigma[2].to_degrees()
+                ),
+                false => String::new(),
+            }
+        );
+    }
+    if let Some(off_um) = expected_error_um(calibration) {
+        let turns = calibration.rotation_centre_m.map_or("", |_| " and 1 deg");
+        say!(
+            answer,
+            "  one move of {:.0} um{turns} is expected to end {off_um:.2} um off",
+            EXAMPLE_MOVE.0 * 1e6
+        );
     }
 }

@@ -135,6 +135,8 @@ fn calibration(k: usize, off: f64) -> Calibration {
         stage_from_pixel: map,
         rotation_centre_m: Some([0.125_403 + 1e-4 * off, 0.000_066]),
         covariance: Some(covariance),
+        backlash: None,
+        scatter: None,
     }
 }
 
@@ -268,7 +270,7 @@ impl Teller {
         self.tell(
             0.2,
             Event::Calibrated {
-                calibration: calibration(k, 1.0),
+                calibration: Box::new(calibration(k, 1.0)),
                 residual_px: 0.118,
                 views: 13,
             },

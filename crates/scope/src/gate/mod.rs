@@ -8,6 +8,7 @@ mod verdict;
 
 pub use obeying::Obeying;
 pub use state::AtWork;
+pub use verdict::Goals;
 
 use crate::knowledge::Knowledge;
 use crate::reported::Reported;

@@ -4,6 +4,21 @@ use super::{MotionGate, Way};
 use crate::judge::{Judge, at_most};
 use crate::{GateEvent, ObjectiveId, ScopeError, StagePose};
 
+/// Where the stage may go from where it stood; by [`MotionGate::goals`].
+pub struct Goals<'a> {
+    gate: &'a MotionGate,
+    here: StagePose,
+    in_beam: Vec<ObjectiveId>,
+}
+
+impl Goals<'_> {
+    /// Whether the stage may go there, as [`MotionGate::check`] tells.
+    pub fn allow(&self, to: &StagePose) -> bool {
+        let goal = self.gate.judge(&self.in_beam).check_goal(&self.here, to);
+        self.gate.info().check_axes(to).and(goal).is_ok()
+    }
+}
+
 impl MotionGate {
     /// Whether the stage may go there from where it stands, with the active objective: limits, workspace, zones. The way
     /// there is judged when the move begins.
@@ -23,13 +38,20 @@ impl MotionGate {
     /// # Errors
     /// What the devices report, and those of [`MotionGate::position`].
     pub fn allowed(&self, places: &[StagePose]) -> Result<Vec<bool>, ScopeError> {
-        let here = self.position()?;
-        let in_beam = self.in_beam()?;
-        let may = |to: &StagePose| {
-            let goal = self.judge(&in_beam).check_goal(&here, to);
-            self.info().check_axes(to).and(goal).is_ok()
-        };
-        Ok(places.iter().map(may).collect())
+        let goals = self.goals()?;
+        Ok(places.iter().map(|to| goals.allow(to)).collect())
+    }
+
+    /// A judge of goals for the stage where it stands now, with the active objective, who asks no device again.
+    ///
+    /// # Errors
+    /// What the devices report, and those of [`MotionGate::position`].
+    pub fn goals(&self) -> Result<Goals<'_>, ScopeError> {
+        Ok(Goals {
+            gate: self,
+            here: self.position()?,
+            in_beam: self.in_beam()?,
+        })
     }
 
     /// Whether the last move that was begun ended where it was sent, and the whole stage stands where it may; after homing, whether the

@@ -1,16 +1,64 @@
-//! Pattern-free calibration in two steps, the paper's section IV-A: eight translations for the 2x2 map (13)-(15), then
-//! rotations for the rotation centre (17)-(18). Works over a general 2x2 map; kx, ky, phi are a reading of it.
+//! Pattern-free calibration: the map from pixels to the stage, the rotation centre, the backlash.
 //!
-//! What is fixed to the camera (dust, a reticle, burnt-in text) stays while a translation moves the view, and counts in none of them. A
-//! rotation may leave the view's centre where it is; there what stayed in the translations is left out.
+//! [`CalibrationMethod::Joint`] follows a chain of views and solves everything at once (`joint` has the mathematics, `chain` the
+//! procedure); [`CalibrationMethod::TwoStep`] is the paper's.
 
-mod estimate;
+mod chain;
 pub mod joint;
-mod observe;
-mod plan;
-mod procedure;
+mod options;
+mod two_step;
 
-pub use plan::CalibrateOptions;
+use crate::procedure::{Procedure, Progress, withdrawn};
+use crate::{Calibration, ServoError, Sink, VisionOptions};
+use chain::Chain;
+use scopeservo_scope::{Instrument, Objective};
+use serde::{Deserialize, Serialize};
+use two_step::TwoStep;
+
+pub use options::{CalibrateOptions, CalibrationMethod};
 #[cfg(test)]
-pub(crate) use plan::DIRECTIONS;
-pub use procedure::Calibrate;
+pub(crate) use two_step::DIRECTIONS;
+
+/// The calibration of the active objective as a step machine: one view per step.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Calibrate {
+    method: Method,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Method {
+    Joint(Box<Chain>),
+    TwoStep(Box<TwoStep>),
+}
+
+impl Calibrate {
+    /// A calibration around the present place with the active objective.
+    pub fn new(objective: Objective, options: CalibrateOptions, vision: VisionOptions) -> Self {
+        let method = match options.method {
+            CalibrationMethod::Joint => {
+                Method::Joint(Box::new(Chain::new(objective, options, vision)))
+            }
+            CalibrationMethod::TwoStep => {
+                Method::TwoStep(Box::new(TwoStep::new(objective, options, vision)))
+            }
+        };
+        Self { method }
+    }
+}
+
+impl Procedure for Calibrate {
+    type Output = Calibration;
+
+    fn step(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Calibration>, ServoError> {
+        let ended = match &mut self.method {
+            Method::Joint(chain) => chain.advance(scope, sink),
+            Method::TwoStep(two_step) => two_step.advance(scope, sink),
+        };
+        withdrawn(scope, ended)
+    }
+}

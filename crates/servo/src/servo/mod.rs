@@ -14,6 +14,7 @@ mod sight;
 mod state;
 pub(crate) mod task;
 
+use crate::one_side::move_from_one_side;
 use crate::vision::grab;
 use crate::{FrameRole, Progress, ServoEnd, ServoError, ServoTask, Sink, event::tell};
 use belief::Belief;
@@ -66,7 +67,7 @@ impl Servo {
             Standing::Outside => {
                 let velocity = task.velocity(&located.pose, test.turns);
                 self.moving(&located, &velocity);
-                scope.move_to(&sight.goal(&velocity))?;
+                move_from_one_side(scope, &sight.goal(&velocity), task.view_calibration)?;
             }
         }
         self.convergence.iteration += 1;

@@ -88,7 +88,7 @@ impl<'a> Sight<'a> {
                 pose: PlanarPose::from(&present),
                 calibration: task.view_calibration,
                 kinematics: info.kinematics,
-                pose_sigma: pose_sigma(info),
+                pose_sigma: task.view_calibration.pose_sigma(pose_sigma(info)),
                 still: task.target.moved.is_none(),
             },
             located: Located { estimate, pose },

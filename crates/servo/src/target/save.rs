@@ -182,7 +182,7 @@ impl SaveTarget {
             pose: PlanarPose::from(&scope.gate().position()?),
             calibration,
             kinematics: info.kinematics,
-            pose_sigma: pose_sigma(info),
+            pose_sigma: calibration.pose_sigma(pose_sigma(info)),
             still: false,
         };
         let centre = centre_px(seen.image.width(), seen.image.height());

@@ -10,9 +10,11 @@
 use scopeservo_scope::{
     Axis, AxisRange, CancelToken, Clock, Frame, Instrument, Limits, Rules, VirtualClock,
 };
+use scopeservo_servo::joint::PathOptions;
 use scopeservo_servo::{
-    Event, Focus, FocusOptions, FrameRole, NoSink, Outcome, Procedure, Progress, Reposition,
-    RepositionOptions, ServoError, ServoOptions, Sink, Stamped, Target, VisionOptions, run,
+    CalibrateOptions, Event, Focus, FocusOptions, FrameRole, NoSink, Outcome, Procedure, Progress,
+    Reposition, RepositionOptions, ServoError, ServoOptions, Sink, Stamped, Target, VisionOptions,
+    run,
 };
 use scopeservo_twin::specimen::{Specimen, Tissue};
 use scopeservo_twin::{Config, Truth, Twin};
@@ -55,9 +57,16 @@ pub fn bench(config: Config) -> Bench {
 /// A place with tissue all over.
 pub const PLACE_UM: [f64; 2] = [300.0, 100.0];
 
-/// A quick law: the tests are about where it ends, the law itself has a study.
+/// A quick law, and few views of a calibration: the tests are about where a run ends, both have studies.
 pub fn options() -> RepositionOptions {
     RepositionOptions {
+        calibrate: CalibrateOptions {
+            path: PathOptions {
+                most_views: 20,
+                ..PathOptions::default()
+            },
+            ..CalibrateOptions::default()
+        },
         servo: ServoOptions {
             lambda: 0.7,
             ..ServoOptions::default()

@@ -57,23 +57,24 @@ fn check(index: u64, coupled: bool, rounds: u64, slack: f64) {
     };
     let good = |share: f64| (share - 0.95).abs() <= slack;
     assert!(within.into_iter().all(good) && good(jointly), "{}", told());
-    assert!((chi - 1.0).abs() < 0.03, "{}", told());
+    // What scatters is estimated with the rest, a little more than it does.
+    assert!((0.85..1.0).contains(&chi), "{}", told());
 }
 
-// So few rounds scatter by 2.2 %, and of thirty such shares one is off by more than three times that.
+// So few rounds scatter by 2.8 %, and of thirty such shares one is off by more than three times that.
 #[test]
 fn the_truth_lies_within_what_is_stated_without_play() {
-    check(0, true, 100, 0.07);
+    check(0, true, 60, 0.09);
 }
 
 #[test]
 fn the_truth_lies_within_what_is_stated_with_play_of_5_um() {
-    check(2, true, 100, 0.07);
+    check(2, true, 60, 0.09);
 }
 
 #[test]
 fn the_truth_lies_within_what_is_stated_where_axes_that_are_not_asked_stand() {
-    check(1, false, 100, 0.07);
+    check(1, false, 60, 0.09);
 }
 
 #[test]

@@ -72,6 +72,7 @@ impl World {
         Priors {
             kinematics: self.kinematics,
             arrival: [Some(x), Some(y), self.turns.then_some(turn)],
+            sure: false,
             backlash: [30e-6, 30e-6, 1e-4],
             lever_m: 0.3,
             parcentric_m: 15e-6,
@@ -198,6 +199,7 @@ impl World {
             let seen: Vec<Pair> = others.iter().filter_map(|k| self.pair(*k, index)).collect();
             taken.push(Taken {
                 role: next.role,
+                asked: next.pose,
                 view: View {
                     optics: 0,
                     reported: next.pose,

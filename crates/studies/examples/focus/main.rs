@@ -12,15 +12,10 @@ mod table;
 
 use clap::Parser;
 use scopeservo_servo::Measure;
+use scopeservo_studies::rounds::{Outcome, rounds, threads};
 use start::{Record, Start};
-use std::collections::BTreeMap;
 use std::fs;
-use std::io::Write as _;
 use std::path::PathBuf;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering};
-
-type Outcome<T> = Result<T, Box<dyn std::error::Error + Send + Sync>>;
 
 /// Autofocus from random starts within 200 um.
 #[derive(Parser)]
@@ -52,9 +47,7 @@ fn measure(text: &str) -> Result<Measure, String> {
 
 fn main() -> Outcome<()> {
     let mut args = Args::parse();
-    if args.threads == 0 {
-        args.threads = std::thread::available_parallelism()?.get();
-    }
+    args.threads = threads(args.threads)?;
     let kind = if args.blank { "blank" } else { "starts" };
     let measure = serde_json::to_value(args.measure)?;
     let name = format!("{kind}-{}.jsonl", measure.as_str().unwrap_or_default());
@@ -66,60 +59,17 @@ fn main() -> Outcome<()> {
             println!("{}", serde_json::to_string_pretty(&record)?);
             vec![record]
         }
-        None => all(&args, &path)?,
+        None => rounds(
+            &path,
+            &(0..args.count).collect::<Vec<_>>(),
+            args.threads,
+            |r: &Record| r.index,
+            |k| Start::draw(k, args.blank)?.run(args.measure, false),
+        )?,
     };
     let harmed = table::print(&records, args.blank);
     if harmed > 0 {
         std::process::exit(1);
     }
     Ok(())
-}
-
-/// The records of all starts, in order.
-fn all(args: &Args, path: &PathBuf) -> Outcome<Vec<Record>> {
-    let mut done: BTreeMap<u64, Record> = BTreeMap::new();
-    for line in fs::read_to_string(path).unwrap_or_default().lines() {
-        // The last line of a study that was killed may be cut off.
-        if let Ok(record) = serde_json::from_str::<Record>(line) {
-            done.insert(record.index, record);
-        }
-    }
-    done.retain(|index, _| *index < args.count);
-    let file = Mutex::new(
-        fs::OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(path)?,
-    );
-    let next = AtomicU64::new(0);
-    let worker = || -> Outcome<Vec<Record>> {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-        let mut made = Vec::new();
-        loop {
-            let index = next.fetch_add(1, Ordering::SeqCst);
-            if index >= args.count {
-                return Ok(made);
-            }
-            if done.contains_key(&index) {
-                continue;
-            }
-            let record =
-                pool.install(|| Start::draw(index, args.blank)?.run(args.measure, false))?;
-            let line = format!("{}\n", serde_json::to_string(&record)?);
-            let mut file = file.lock().map_err(|e| e.to_string())?;
-            file.write_all(line.as_bytes())?;
-            drop(file);
-            made.push(record);
-        }
-    };
-    let made = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..args.threads).map(|_| scope.spawn(worker)).collect();
-        let ended = workers.into_iter().map(|w| match w.join() {
-            Ok(answer) => answer,
-            Err(panic) => std::panic::resume_unwind(panic),
-        });
-        ended.collect::<Outcome<Vec<_>>>()
-    })?;
-    done.extend(made.into_iter().flatten().map(|r| (r.index, r)));
-    Ok(done.into_values().collect())
 }

@@ -13,16 +13,20 @@ pub(super) struct Problem<'a> {
     pub(super) pairs: &'a [Pair],
     /// One for each pair: 1, or less for what others contradict.
     pub(super) weights: &'a [f64],
+    /// What the stated covariances of all pairs are multiplied by.
+    pub(super) pair_variance: f64,
 }
 
 /// What an axis that is not asked to move moves, as a share of its scatter: nearly nothing.
 const STANDS: f64 = 0.01;
 
 /// Something known beforehand: a residual with its derivative by a few unknowns, and its standard deviation.
-struct PriorRow {
-    by: Vec<(usize, f64)>,
-    off: f64,
-    sigma: f64,
+pub(super) struct PriorRow {
+    pub(super) by: Vec<(usize, f64)>,
+    pub(super) off: f64,
+    pub(super) sigma: f64,
+    /// The axis, where it is about an arrival.
+    pub(super) arrival: Option<usize>,
 }
 
 /// `step = -information^-1 gradient`, information row by row.
@@ -91,6 +95,12 @@ impl Problem<'_> {
         ))
     }
 
+    /// The covariance of a pair.
+    pub(super) fn covariance(&self, pair: &Pair) -> [Shown; 3] {
+        pair.covariance
+            .map(|row| row.map(|c| c * self.pair_variance))
+    }
+
     /// What a pair shows less what was measured.
     pub(super) fn residual(&self, at: &Unknowns, pair: &Pair) -> Option<Shown> {
         Some(self.off(at, pair)?.1)
@@ -125,12 +135,17 @@ impl Problem<'_> {
         Some((off, by))
     }
 
-    fn prior_rows(&self, at: &Unknowns) -> Vec<PriorRow> {
+    pub(super) fn prior_rows(&self, at: &Unknowns) -> Vec<PriorRow> {
         let (order, priors) = (at.order(), self.priors);
         let mut rows = Vec::new();
-        let mut add = |by: &[(usize, f64)], off, sigma| {
+        let mut add = |by: &[(usize, f64)], off, sigma, arrival| {
             let by = by.to_vec();
-            rows.push(PriorRow { by, off, sigma });
+            rows.push(PriorRow {
+                by,
+                off,
+                sigma,
+                arrival,
+            });
         };
         for k in 0..3 {
             let Some(sigma) = priors.arrival[k] else {
@@ -138,18 +153,18 @@ impl Problem<'_> {
             };
             let backlash = at.instrument.backlash[k];
             let play = order.backlash() + k;
-            add(&[(play, 1.0)], backlash, priors.backlash[k]);
+            add(&[(play, 1.0)], backlash, priors.backlash[k], None);
             for (v, (view, pose)) in self.views.iter().zip(&at.poses).enumerate() {
                 let half = f64::from(view.approach[k]) / 2.0;
                 let off = axes(pose)[k] - axes(&view.reported)[k] + half * backlash;
                 let here = order.pose(v) + k;
                 if view.arrived[k] || v == 0 {
-                    add(&[(here, 1.0), (play, half)], off, sigma);
+                    add(&[(here, 1.0), (play, half)], off, sigma, Some(k));
                 } else {
                     let before = axes(&at.poses[v - 1])[k] - axes(&self.views[v - 1].reported)[k];
                     let stood = axes(pose)[k] - axes(&view.reported)[k] - before;
                     let by = [(here, 1.0), (here - 3, -1.0)];
-                    add(&by, stood, STANDS * sigma);
+                    add(&by, stood, STANDS * sigma, None);
                 }
             }
         }
@@ -157,11 +172,11 @@ impl Problem<'_> {
             |o: usize, k: usize| (order.optics(o) + 4 + k, at.instrument.optics[o].centre_m[k]);
         for k in 0..2 {
             let (first, value) = centre(0, k);
-            add(&[(first, 1.0)], value, priors.lever_m);
+            add(&[(first, 1.0)], value, priors.lever_m, None);
             for o in 1..order.optics {
                 let (other, other_value) = centre(o, k);
                 let by = [(other, 1.0), (first, -1.0)];
-                add(&by, other_value - value, priors.parcentric_m);
+                add(&by, other_value - value, priors.parcentric_m, None);
             }
         }
         rows
@@ -186,7 +201,11 @@ impl Problem<'_> {
         let mut cost: f64 = rows.iter().map(|row| (row.off / row.sigma).powi(2)).sum();
         for (pair, weight) in self.pairs.iter().zip(self.weights) {
             let off = self.residual(at, pair)?;
-            cost += weight * dot(&off, &times(&cholesky_inverse(&pair.covariance)?, &off));
+            cost += weight
+                * dot(
+                    &off,
+                    &times(&cholesky_inverse(&self.covariance(pair))?, &off),
+                );
         }
         cost.is_finite().then_some(cost)
     }
@@ -199,12 +218,12 @@ impl Problem<'_> {
             information: vec![0.0; n * n],
             gradient: vec![0.0; n],
         };
-        for PriorRow { by, off, sigma } in self.prior_rows(at) {
+        for PriorRow { by, off, sigma, .. } in self.prior_rows(at) {
             normal.add_row(&by, off, 1.0 / (sigma * sigma));
         }
         for (pair, weight) in self.pairs.iter().zip(self.weights) {
             let (off, by) = self.linear(at, pair)?;
-            let certainty = cholesky_inverse(&pair.covariance)?;
+            let certainty = cholesky_inverse(&self.covariance(pair))?;
             normal.add(&by, &off, &certainty.map(|row| row.map(|c| c * weight)));
         }
         for k in self.held(order) {

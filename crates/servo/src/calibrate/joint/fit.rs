@@ -7,9 +7,10 @@ use super::start::start;
 use super::three::{Three, dot, entries, inverse, product, times};
 use crate::kinematics::PlanarPose;
 use scopeservo_geometry::{Cholesky, cholesky_inverse};
+use serde::{Deserialize, Serialize};
 
 /// What the measurements say of the instrument, with its covariance.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JointFit {
     /// The optics and the backlash.
     pub instrument: Instrument,
@@ -18,12 +19,16 @@ pub struct JointFit {
     /// Covariance of the instrument with the poses marginalised: backlash x, y, rotation; then of each optics the map row by row and the
     /// centre. n x n, row by row, in SI units; zero where there is no such axis.
     pub covariance: Vec<f64>,
-    /// Weighted sum of squares; chi-square with `freedom` degrees of freedom where all stated deviations are true.
+    /// Weighted sum of squares; chi-square with `freedom` degrees of freedom.
     pub chi_sq: f64,
     /// Three for each pair that counts, less what the measurements determine of the instrument.
     pub freedom: f64,
     /// Pairs that the others contradict, which count for nothing.
     pub left_out: Vec<usize>,
+    /// Standard deviation of where an arrival ends, as seen: x, y (m), rotation (rad).
+    pub scatter: [Option<f64>; 3],
+    /// What the pairs scatter, in their stated standard deviations; 1 at least.
+    pub pair_sigma: f64,
 }
 
 impl JointFit {
@@ -49,47 +54,153 @@ const CONTRADICTED_SQ: f64 = 25.0;
 /// Where the weight of Cauchy is one half, the same way.
 const HALF_WEIGHT_SQ: f64 = 9.0;
 /// Rounds of reweighting, and of leaving out, at most.
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 6;
+/// A standard deviation that changes by a smaller share has settled.
+const SETTLED: f64 = 0.02;
+/// What scatters is estimated by so much redundancy, at least: else the greater of what is stated and what is seen counts.
+const REDUNDANCY: f64 = 5.0;
+/// So many of all pairs are wrong, at most.
+const FEW_WRONG: f64 = 0.1;
+/// Residuals with less redundancy, for each of their numbers, say nothing of what scatters.
+const LEAST_REDUNDANCY: f64 = 0.1;
+/// No stage arrives better than this, m and rad.
+const LEAST_SCATTER: f64 = 1e-9;
 
 /// Fits everything jointly. `None` where the measurements do not determine the maps: moves without rotation in two directions at least.
+///
+/// How far arrivals scatter is stated by data sheets in many ways, with the play in it or without. So it is estimated, axis by axis, along
+/// with the rest: variance components by Foerstner's iteration, each the sum of its squared residuals over its redundancy.
+///
+/// A wrong pair looks like a stage that scatters, and a stage that scatters more than it says like wrong pairs. So first the stage is believed
+/// until no pair contradicts another; where that leaves out many, the stage is what is wrong.
 ///
 /// # Panics
 /// Where a pair names a view that is not there.
 pub fn fit(priors: &Priors, views: &[View], pairs: &[Pair]) -> Option<JointFit> {
-    let ones = vec![1.0; pairs.len()];
-    let plain = Problem {
-        priors,
+    let believed = fit_from(priors, views, pairs, true)?;
+    match believed.left_out.len() as f64 <= FEW_WRONG * pairs.len() as f64 {
+        true => Some(believed),
+        false => fit_from(priors, views, pairs, false),
+    }
+}
+
+fn fit_from(priors: &Priors, views: &[View], pairs: &[Pair], believed: bool) -> Option<JointFit> {
+    let mut weights = vec![1.0; pairs.len()];
+    let (mut own, mut pair_variance) = (*priors, 1.0);
+    let mut at = start(&Problem {
+        priors: &own,
         views,
         pairs,
-        weights: &ones,
-    };
-    let mut solved = Solved::of(&plain, start(&plain)?)?;
-    let mut off_sq = solved.contradictions(&plain)?;
-    if off_sq.iter().all(|t| *t <= CONTRADICTED_SQ) {
-        return Some(solved.told(&plain));
-    }
-    let mut weights = ones.clone();
-    for round in 0..2 * ROUNDS {
-        let weight = |t: &f64| match round < ROUNDS {
-            true => 1.0 / (1.0 + t / HALF_WEIGHT_SQ),
-            false => f64::from(u8::from(*t <= CONTRADICTED_SQ)),
-        };
-        let next: Vec<f64> = off_sq.iter().map(weight).collect();
-        if next == weights {
-            break;
-        }
-        weights = next;
-        let weighted = Problem {
-            weights: &weights,
-            ..plain
-        };
-        solved = Solved::of(&weighted, solved.at)?;
-        off_sq = solved.contradictions(&weighted)?;
-    }
-    Some(solved.told(&Problem {
         weights: &weights,
-        ..plain
-    }))
+        pair_variance,
+    })?;
+    // First with what a few wrong pairs hardly change; then without these.
+    for robust in [true, false] {
+        for _ in 0..ROUNDS * if robust { 1 } else { 2 } {
+            let problem = Problem {
+                priors: &own,
+                views,
+                pairs,
+                weights: &weights,
+                pair_variance,
+            };
+            let solved = Solved::of(&problem, at)?;
+            let off_sq = solved.contradictions(&problem)?;
+            let clean = off_sq.iter().all(|t| *t <= CONTRADICTED_SQ);
+            let weight = |t: &f64| match robust {
+                true if clean => 1.0,
+                true => 1.0 / (1.0 + t / HALF_WEIGHT_SQ),
+                false => f64::from(u8::from(*t <= CONTRADICTED_SQ)),
+            };
+            let next: Vec<f64> = off_sq.iter().map(weight).collect();
+            let components = solved.components(&problem, priors, robust)?;
+            let same = next == weights;
+            let settled = components.settled(&own.arrival, pair_variance) && same;
+            at = solved.at;
+            let update = match robust {
+                true => clean || !believed,
+                false => same,
+            };
+            if update {
+                (own.arrival, pair_variance) = (components.arrival, components.pair_variance);
+            }
+            weights = next;
+            if settled {
+                break;
+            }
+        }
+    }
+    let problem = Problem {
+        priors: &own,
+        views,
+        pairs,
+        weights: &weights,
+        pair_variance,
+    };
+    Some(Solved::of(&problem, at)?.told(&problem))
+}
+
+/// What scatters, as the residuals show it.
+struct Components {
+    arrival: [Option<f64>; 3],
+    pair_variance: f64,
+}
+
+/// Residuals of one kind, squared, each of so many numbers.
+struct Residuals {
+    numbers: u8,
+    sum_sq: f64,
+    redundancy: f64,
+    each: Vec<f64>,
+}
+
+impl Residuals {
+    const fn new(numbers: u8) -> Self {
+        Self {
+            numbers,
+            sum_sq: 0.0,
+            redundancy: 0.0,
+            each: Vec::new(),
+        }
+    }
+
+    fn add(&mut self, off_sq: f64, redundancy: f64, weight: f64) {
+        let redundancy = redundancy.max(0.0);
+        self.sum_sq += weight * off_sq;
+        self.redundancy += weight * redundancy;
+        if redundancy > LEAST_REDUNDANCY * f64::from(self.numbers) {
+            self.each.push(off_sq / redundancy);
+        }
+    }
+
+    /// Their variance over what is expected: from all, or robustly from the middle one.
+    fn variance(&mut self, robust: bool) -> f64 {
+        if !robust || self.each.is_empty() {
+            // The mean of what the variance may be: two more than the number that is likeliest, as a few residuals leave it open.
+            return self.sum_sq / (self.redundancy - 2.0).max(1.0);
+        }
+        let middle = self.each.len() / 2;
+        let (_, median, _) = self.each.select_nth_unstable_by(middle, f64::total_cmp);
+        // The median of chi-square with one and three degrees of freedom.
+        let expected = if self.numbers == 1 {
+            0.455
+        } else {
+            2.366 / 3.0
+        };
+        *median / expected
+    }
+}
+
+impl Components {
+    fn settled(&self, arrival: &[Option<f64>; 3], pair_variance: f64) -> bool {
+        let near = |a: f64, b: f64| (a / b - 1.0).abs() < SETTLED;
+        let both = self.arrival.iter().zip(arrival);
+        near(self.pair_variance, pair_variance)
+            && both.into_iter().all(|(a, b)| match (a, b) {
+                (Some(a), Some(b)) => near(*a, *b),
+                _ => true,
+            })
+    }
 }
 
 /// A minimum with the covariance of all unknowns, n x n.
@@ -122,9 +233,57 @@ impl Solved {
             .map(|(pair, weight)| {
                 let (off, by) = problem.linear(&self.at, pair)?;
                 let expected = self.expected(&by);
-                Some(contradiction_sq(&off, &pair.covariance, &expected, *weight).unwrap_or(0.0))
+                let own = problem.covariance(pair);
+                Some(contradiction_sq(&off, &own, &expected, *weight).unwrap_or(0.0))
             })
             .collect()
+    }
+
+    /// The variance components: of each axis' arrivals, and of the pairs, which are never better than stated.
+    fn components(&self, problem: &Problem, stated: &Priors, robust: bool) -> Option<Components> {
+        if stated.sure {
+            return Some(Components {
+                arrival: stated.arrival,
+                pair_variance: 1.0,
+            });
+        }
+        let n = self.at.order().count();
+        let variance = |by: &[(usize, f64)]| -> f64 {
+            let all = by.iter().flat_map(|a| by.iter().map(move |b| (a, b)));
+            all.map(|((i, a), (j, b))| a * b * self.covariance[i * n + j])
+                .sum()
+        };
+        // In stated variances: of x and y together, whose scatter the rotation's hides in part; of the rotation.
+        let mut arrivals = [const { Residuals::new(1) }; 2];
+        for row in problem.prior_rows(&self.at) {
+            let Some((k, stated)) = row.arrival.and_then(|k| Some((k, stated.arrival[k]?))) else {
+                continue;
+            };
+            let redundancy = 1.0 - variance(&row.by) / (row.sigma * row.sigma);
+            arrivals[k / 2].add((row.off / stated).powi(2), redundancy, 1.0);
+        }
+        let factor = arrivals.map(|mut of| match of.redundancy >= REDUNDANCY {
+            true => of.variance(robust).sqrt(),
+            false => of.variance(robust).sqrt().max(1.0),
+        });
+        let arrival =
+            [0, 1, 2].map(|k| Some((factor[k / 2] * stated.arrival[k]?).max(LEAST_SCATTER)));
+        let mut shown = Residuals::new(3);
+        for (pair, weight) in problem.pairs.iter().zip(problem.weights) {
+            let (off, by) = problem.linear(&self.at, pair)?;
+            let certainty = cholesky_inverse(&problem.covariance(pair))?;
+            let share = product(&self.expected(&by), &certainty);
+            let redundancy = 3.0 - weight * (0..3).map(|k| share[k][k]).sum::<f64>();
+            shown.add(dot(&off, &times(&certainty, &off)), redundancy, *weight);
+        }
+        let factor = match shown.redundancy >= REDUNDANCY {
+            true => shown.variance(robust),
+            false => 1.0,
+        };
+        Some(Components {
+            arrival,
+            pair_variance: (factor * problem.pair_variance).max(1.0),
+        })
     }
 
     /// The covariance of what the fit expects of a pair, by its derivative.
@@ -162,6 +321,8 @@ impl Solved {
             chi_sq: self.cost,
             freedom,
             left_out,
+            scatter: problem.priors.arrival,
+            pair_sigma: problem.pair_variance.sqrt(),
         }
     }
 }

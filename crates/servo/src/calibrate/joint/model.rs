@@ -40,6 +40,9 @@ pub struct Priors {
     pub kinematics: Kinematics,
     /// Standard deviation of where an arrival ends, x, y (m) and rotation (rad). `None`: there is no such axis, it rests.
     pub arrival: [Option<f64>; 3],
+    /// Whether arrivals and pairs scatter as stated; else what is seen tells.
+    #[serde(default)]
+    pub sure: bool,
     /// Standard deviation of the backlash about none, x, y (m) and rotation (rad).
     pub backlash: [f64; 3],
     /// Standard deviation of the rotation centre about none, m per coordinate.

@@ -51,10 +51,7 @@ pub fn next_view(
         return None;
     }
     let (role, pose) = path.after(known.taken.last())?;
-    let from = known
-        .taken
-        .last()
-        .map(|t| (&t.view.reported, t.view.approach));
+    let from = known.taken.last().map(|t| (&t.asked, t.view.approach));
     let pose = from.map_or(pose, |(from, _)| settled(from, &pose));
     let same_side = matches!(role, Role::Arm { .. });
     let Arrival {
@@ -80,7 +77,7 @@ pub fn partners(options: &PathOptions, known: &Known, pose: &PlanarPose) -> Vec<
     };
     let found = known.taken.iter().enumerate().filter(|(_, t)| t.found);
     let mut overlaps: Vec<(f64, usize)> = found
-        .map(|(k, t)| (path.overlap(&t.view.reported, pose), k))
+        .map(|(k, t)| (path.overlap(&t.asked, pose), k))
         .filter(|(overlap, _)| *overlap >= 0.9 * options.least_overlap)
         .collect();
     // The earlier of two that overlap as much: it ties the path to its beginning.
@@ -140,7 +137,7 @@ impl Prospect<'_> {
         let made = taken.filter(|t| t.role == role && t.found);
         let gone_m = made.clone().next_back().map_or(0.0, |t| {
             (0..2)
-                .map(|k| (t.view.reported.x_m[k] - reference.x_m[k]) * arm[k])
+                .map(|k| (t.asked.x_m[k] - reference.x_m[k]) * arm[k])
                 .sum()
         });
         let others = FIRST_VIEWS + TURNED_VIEWS;
@@ -164,7 +161,7 @@ impl Prospect<'_> {
     fn reached_rad(&self) -> f64 {
         let found = self.known.taken.iter().filter(|t| t.found);
         found
-            .map(|t| t.view.reported.theta_rad - self.reference().theta_rad)
+            .map(|t| t.asked.theta_rad - self.reference().theta_rad)
             .fold(0.0, f64::max)
     }
 
@@ -191,7 +188,7 @@ impl Prospect<'_> {
             t.found && matches!(t.role, Role::Arm { direction: d } if usize::from(d) == direction)
         };
         let last = self.known.taken.iter().rev().find(along);
-        last.map_or(self.reference(), |t| t.view.reported)
+        last.map_or(self.reference(), |t| t.asked)
     }
 
     /// One of the rotations back and forth, which begin anew until all is known well enough.

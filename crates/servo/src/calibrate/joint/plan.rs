@@ -86,6 +86,8 @@ pub enum Role {
 pub struct Taken {
     /// What it was for.
     pub role: Role,
+    /// The pose that was asked for.
+    pub asked: PlanarPose,
     /// Where it was.
     pub view: View,
     /// Whether it was registered to another view.

@@ -14,10 +14,30 @@ pub(super) struct Prospect<'a> {
     pub(super) allowed: &'a dyn Fn(&PlanarPose) -> bool,
 }
 
+impl Known<'_> {
+    /// Where the centre of a view at b lies in one at a, px from its centre. Before the map is known it is as far to either side.
+    fn shift_px(&self, a: &PlanarPose, b: &PlanarPose) -> Option<Vec2> {
+        let Some(optics) = self
+            .fit
+            .and_then(|fit| fit.instrument.optics.get(self.optics))
+        else {
+            let way_m = f64::hypot(a.x_m[0] - b.x_m[0], a.x_m[1] - b.x_m[1]);
+            return Some([way_m / self.nominal_m_per_px * std::f64::consts::FRAC_1_SQRT_2; 2]);
+        };
+        let sights = [a, b].map(|p| sight(self.kinematics, p, optics.centre_m));
+        shown(&sights, &[optics, optics]).map(|[x, y, _]| [x, y])
+    }
+
+    /// How far an image's centre moves on the sensor between two poses, px; 0 where that is not known.
+    pub fn moves_px(&self, a: &PlanarPose, b: &PlanarPose) -> f64 {
+        self.shift_px(a, b).map_or(0.0, |[x, y]| f64::hypot(x, y))
+    }
+}
+
 impl Prospect<'_> {
     pub(super) fn reference(&self) -> PlanarPose {
         let first = self.known.taken.first();
-        first.map_or(self.known.start, |t| t.view.reported)
+        first.map_or(self.known.start, |t| t.asked)
     }
 
     pub(super) fn play(&self) -> [f64; 3] {
@@ -52,22 +72,7 @@ impl Prospect<'_> {
     /// The share of the field that views at two poses have in common.
     pub(super) fn overlap(&self, a: &PlanarPose, b: &PlanarPose) -> f64 {
         let size_px = self.known.image_size_px.map(|n| n as f64);
-        let optics = self
-            .known
-            .fit
-            .and_then(|fit| fit.instrument.optics.get(self.known.optics));
-        let shift_px = match optics {
-            Some(optics) => {
-                let sights = [a, b].map(|p| sight(self.known.kinematics, p, optics.centre_m));
-                shown(&sights, &[optics, optics]).map(|[x, y, _]| [x, y])
-            }
-            None => {
-                let way_px = f64::hypot(a.x_m[0] - b.x_m[0], a.x_m[1] - b.x_m[1])
-                    / self.known.nominal_m_per_px;
-                Some([way_px * std::f64::consts::FRAC_1_SQRT_2; 2])
-            }
-        };
-        shift_px.map_or(0.0, |shift_px| {
+        self.known.shift_px(a, b).map_or(0.0, |shift_px| {
             let left = [0, 1].map(|k| (1.0 - shift_px[k].abs() / size_px[k]).max(0.0));
             left[0] * left[1]
         })

@@ -7,6 +7,8 @@ use scopeservo_geometry::{Mat2, Vec2};
 
 /// A pair whose views are turned from each other by less shows the map without the rotation centre, rad.
 const UNTURNED_RAD: f64 = 1e-7;
+/// Moves shorter than this share of the longest count for nothing.
+const LEAST_MOVE: f64 = 0.25;
 /// Two moves whose parallelogram has a smaller share of its rectangle lie on a line.
 const LEAST_SINE: f64 = 0.2;
 
@@ -29,6 +31,10 @@ fn moves(problem: &Problem, optics: usize) -> Vec<(Vec2, Vec2)> {
             moves.push((Mat2::rotation(-a.phi_rad) * moved_m, pair.centre_px));
         }
     }
+    // What hardly moves shows the backlash and the scatter.
+    let length = |(moved_m, _): &(Vec2, Vec2)| f64::hypot(moved_m[0], moved_m[1]);
+    let longest = moves.iter().map(length).fold(0.0, f64::max);
+    moves.retain(|moved| length(moved) >= LEAST_MOVE * longest);
     moves
 }
 

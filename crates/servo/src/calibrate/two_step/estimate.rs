@@ -1,12 +1,12 @@
 //! From the observations to the calibration, and whether it can be one.
 
 use super::plan::NEEDED;
-use super::procedure::{Calibrate, no_reference};
+use super::procedure::{TwoStep, no_reference};
 use crate::hand_eye::{covariance, explained_px, pose_sigma, solve_hand_eye};
 use crate::{CALIBRATION_SCHEMA, Calibration, ServoError};
 use scopeservo_scope::Instrument;
 
-impl Calibrate {
+impl TwoStep {
     /// The calibration and its residual, px; refused where it contradicts what is engraved or what the stage reported.
     pub(super) fn finish(&self, scope: &Instrument) -> Result<(Calibration, f64), ServoError> {
         let info = scope.gate().info();
@@ -36,16 +36,10 @@ impl Calibrate {
                 &self.rotations,
                 pose_sigma,
             ),
+            backlash: None,
+            scatter: None,
         };
-        let (measured, nominal) = (calibration.um_per_px(), self.objective.nominal_um_per_px);
-        let factor = (measured / nominal).max(nominal / measured);
-        if factor.is_nan() || factor > self.options.nominal_factor {
-            return Err(ServoError::CalibrationImplausible {
-                objective: self.objective.id.clone(),
-                measured_um_per_px: measured,
-                nominal_um_per_px: nominal,
-            });
-        }
+        self.options.plausible(&calibration, &self.objective)?;
         // One pixel is for what the data sheet does not name: vibration, drift, the slide's seat.
         let explained_px = explained_px(&reference, &calibration, info.kinematics, pose_sigma);
         let allowed_px = 1.0 + self.options.residual_factor * explained_px;

@@ -1,7 +1,7 @@
 //! One view of a calibration: moved to, registered to the reference, without what is fixed to the camera.
 
 use super::plan::STAYED;
-use super::procedure::{Calibrate, no_reference};
+use super::procedure::{TwoStep, no_reference};
 use crate::event::tell;
 use crate::hand_eye::Observation;
 use crate::kinematics::PlanarPose;
@@ -13,7 +13,7 @@ use scopeservo_geometry::Correspondence;
 use scopeservo_registration::{Correspondences, Registration, register_correspondences};
 use scopeservo_scope::Instrument;
 
-impl Calibrate {
+impl TwoStep {
     /// Registers a view to the reference, without what is fixed to the camera: what stays where it is, when the view `moved` for sure;
     /// else what stayed in the translations.
     fn register(&mut self, view: &Features, moved: bool) -> Result<Registration, ServoError> {

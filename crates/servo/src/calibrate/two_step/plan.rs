@@ -3,37 +3,6 @@
 use scopeservo_geometry::Vec2;
 use serde::{Deserialize, Serialize};
 
-/// Settings of a calibration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct CalibrateOptions {
-    /// Radius of the eight translations, as a share of the shorter side of the field.
-    pub translation_share: f64,
-    /// Sweep of the view in a rotation, as a share of the shorter side of the field.
-    pub rotation_share: f64,
-    /// Largest rotation, radians.
-    pub max_rotation_rad: f64,
-    /// Measured over nominal um per pixel may be this, or one over this, at most.
-    pub nominal_factor: f64,
-    /// The residual may be this many times what the stage's repeatability explains, at most.
-    pub residual_factor: f64,
-    /// One direction's scale over the other's, at most.
-    pub anisotropy: f64,
-}
-
-impl Default for CalibrateOptions {
-    fn default() -> Self {
-        Self {
-            translation_share: 0.35,
-            rotation_share: 0.4,
-            max_rotation_rad: 0.08,
-            nominal_factor: 1.5,
-            residual_factor: 4.0,
-            anisotropy: 1.2,
-        }
-    }
-}
-
 /// Moves at a share of the field in eight directions, opposite ones after each other: slow drift cancels.
 pub(crate) const DIRECTIONS: [Vec2; 8] = [
     [1.0, 0.0],

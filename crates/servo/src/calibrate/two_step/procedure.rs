@@ -1,13 +1,13 @@
 //! The calibration as a step machine.
 
-use super::plan::{CalibrateOptions, DIRECTIONS, FIRST_ROTATION_RAD, HALVINGS, NEEDED, State};
+use super::plan::{DIRECTIONS, FIRST_ROTATION_RAD, HALVINGS, NEEDED, State};
 use crate::event::tell;
 use crate::hand_eye::Observation;
 use crate::kinematics::PlanarPose;
-use crate::procedure::{Procedure, Progress, withdrawn};
+use crate::procedure::Progress;
 use crate::proof::SEEN_PX;
 use crate::vision::{grab, gray};
-use crate::{Calibration, Event, FrameRole, ServoError, Sink, VisionOptions};
+use crate::{CalibrateOptions, Calibration, Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_features::Features;
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Axis, Instrument, Objective, ScopeError};
@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 
 /// The calibration as a step machine: one view per step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Calibrate {
+pub(crate) struct TwoStep {
     pub(super) options: CalibrateOptions,
     pub(super) vision: VisionOptions,
     pub(super) objective: Objective,
@@ -32,9 +32,13 @@ pub struct Calibrate {
     pub(super) views: usize,
 }
 
-impl Calibrate {
+impl TwoStep {
     /// A calibration around the present place with the active objective.
-    pub fn new(objective: Objective, options: CalibrateOptions, vision: VisionOptions) -> Self {
+    pub(crate) fn new(
+        objective: Objective,
+        options: CalibrateOptions,
+        vision: VisionOptions,
+    ) -> Self {
         Self {
             options,
             vision,
@@ -170,8 +174,8 @@ pub(super) fn no_reference() -> ServoError {
     ServoError::CannotGoOn("a stored calibration state has no reference view; start it anew".into())
 }
 
-impl Calibrate {
-    fn advance(
+impl TwoStep {
+    pub(crate) fn advance(
         &mut self,
         scope: &Instrument,
         sink: &mut dyn Sink,
@@ -215,7 +219,7 @@ impl Calibrate {
                 }
                 let (calibration, residual_px) = self.finish(scope)?;
                 let event = Event::Calibrated {
-                    calibration: calibration.clone(),
+                    calibration: Box::new(calibration.clone()),
                     residual_px,
                     views: self.translations.len() + self.rotations.len(),
                 };
@@ -224,18 +228,5 @@ impl Calibrate {
             }
         }
         Ok(Progress::Continue)
-    }
-}
-
-impl Procedure for Calibrate {
-    type Output = Calibration;
-
-    fn step(
-        &mut self,
-        scope: &Instrument,
-        sink: &mut dyn Sink,
-    ) -> Result<Progress<Calibration>, ServoError> {
-        let ended = self.advance(scope, sink);
-        withdrawn(scope, ended)
     }
 }

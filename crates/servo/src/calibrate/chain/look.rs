@@ -1,0 +1,146 @@
+//! One view: moved to, and registered to the earlier ones that overlap it.
+
+use super::super::joint::{Next, Pair, Role, Taken, View, partners};
+use super::Chain;
+use super::fixed::stays;
+use super::pair::{Place, pair_of};
+use crate::event::tell;
+use crate::kinematics::PlanarPose;
+use crate::proof::SEEN_PX;
+use crate::vision::{grab, gray, same_objective};
+use crate::{Event, FrameRole, ServoError, Sink};
+use scopeservo_features::Features;
+use scopeservo_registration::{Correspondences, Registration, register_correspondences};
+use scopeservo_scope::Instrument;
+
+/// Of the first views all features are kept, until it is known which are fixed to the camera.
+const WHOLE: usize = 4;
+/// Besides what the stage turns, the images may turn by this against each other, rad.
+const TURN_SLACK_RAD: f64 = 0.02;
+
+impl Chain {
+    /// Moves, looks, registers, and learns.
+    pub(super) fn look(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        next: &Next,
+    ) -> Result<(), ServoError> {
+        let present = scope.gate().position()?;
+        if let Some(via) = &next.via {
+            scope.move_to(&via.request(&present))?;
+        }
+        let at = scope.move_to(&next.pose.request(&present))?;
+        let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
+        let features = self.vision.of_view(&gray(scope, &frame)?)?;
+        let index = self.taken.len();
+        let (pairs, inliers) = self.register(scope, next, &features);
+        let place = match pairs.first() {
+            Some(pair) => self.places[pair.fixed].map(|fixed| fixed.after(pair)),
+            None => (index == 0).then_some(Place::FIRST),
+        };
+        if index == 0 {
+            self.via = next.via;
+        }
+        self.taken.push(Taken {
+            role: next.role,
+            asked: next.pose,
+            view: View {
+                optics: 0,
+                reported: PlanarPose::from(&at),
+                approach: next.approach,
+                arrived: next.arrived,
+            },
+            found: place.is_some(),
+        });
+        self.places.push(place);
+        self.pairs.extend(pairs);
+        self.keep(features);
+        // Along an arm and while it sweeps the path learns nothing new of what it needs.
+        if !matches!(next.role, Role::Arm { .. } | Role::Sweep { index: 0..7 }) {
+            self.fit = self.solve(scope);
+        }
+        let event = Event::CalibrationView {
+            index,
+            stage: at,
+            shift_px: place.map(|p| p.centre_px),
+            inliers,
+        };
+        tell(scope, sink, event);
+        Ok(())
+    }
+
+    /// Keeps a view's features: the strongest that are not fixed to the camera.
+    fn keep(&mut self, features: Features) {
+        self.features.push(features);
+        let from = match self.features.len() {
+            0..WHOLE => return,
+            WHOLE => 0,
+            more => more - 1,
+        };
+        for k in from..self.features.len() {
+            let all = &self.features[k];
+            let free = (0..all.len()).filter(|i| !self.fixed.has(&all.keypoints[*i]));
+            let strongest: Vec<usize> = free.take(self.options.kept_features).collect();
+            self.features[k] = all.subset(&strongest);
+        }
+    }
+
+    /// The pairs that a view makes with the earlier ones, the surest first, and the inliers of that one.
+    fn register(&mut self, scope: &Instrument, next: &Next, view: &Features) -> (Vec<Pair>, usize) {
+        let Some(known) = self.known(scope) else {
+            return (Vec::new(), 0);
+        };
+        let found = self.taken.len();
+        let others: Vec<(usize, bool)> = partners(&self.options.path, &known, &next.pose)
+            .into_iter()
+            .map(|k| {
+                let moved = known.moves_px(&self.taken[k].asked, &next.pose);
+                (k, moved >= SEEN_PX)
+            })
+            .collect();
+        let mut pairs = Vec::new();
+        for (fixed, moved) in others {
+            let turn_rad = next.pose.theta_rad - self.taken[fixed].asked.theta_rad;
+            let registration = self.against(fixed, view, moved, turn_rad);
+            match &registration.outcome {
+                Ok(estimate) => {
+                    let size_px = [view.width, view.height];
+                    pairs.push((
+                        registration.inliers,
+                        pair_of(estimate, size_px, fixed, found),
+                    ));
+                }
+                Err(reason) => self.last_reason = Some(reason.clone()),
+            }
+        }
+        pairs.sort_by_key(|(inliers, pair)| (usize::MAX - inliers, pair.fixed));
+        let inliers = pairs.first().map_or(0, |(inliers, _)| *inliers);
+        (pairs.into_iter().map(|(_, pair)| pair).collect(), inliers)
+    }
+
+    /// Registers a view to an earlier one, without what is fixed to the camera: what stays where it is, when the view `moved` for sure;
+    /// else what stayed when it did.
+    fn against(
+        &mut self,
+        fixed: usize,
+        view: &Features,
+        moved: bool,
+        turn_rad: f64,
+    ) -> Registration {
+        let options = &self.vision.registration;
+        let prior = same_objective(1.5 * turn_rad.abs() + TURN_SLACK_RAD);
+        let engine = &*self.vision.engine;
+        let all = match Correspondences::of(engine, view, &self.features[fixed], &prior, options) {
+            Ok(all) => all,
+            Err(reason) => return Registration::not_found(reason, 0),
+        };
+        let free = all
+            .those(|_, c| !(stays(c) && (moved || self.fixed.holds(c.p_in_b.map(|v| v as f32)))));
+        let registration = register_correspondences(&free, &prior, options);
+        if moved {
+            self.fixed.stayed(all.pairs.iter().filter(|c| stays(c)));
+        }
+        registration
+    }
+}

@@ -1,0 +1,172 @@
+//! The joint calibration as a step machine: one view per step, each registered to those before that overlap it.
+
+mod fixed;
+mod look;
+mod pair;
+mod verdict;
+
+use super::joint::{JointFit, Known, Next, Pair, Priors, Taken, View, fit, next_view};
+use crate::event::tell;
+use crate::hand_eye::pose_sigma;
+use crate::kinematics::PlanarPose;
+use crate::procedure::Progress;
+use crate::{CalibrateOptions, Calibration, ErrorKind, Event, ServoError, Sink, VisionOptions};
+use fixed::FixedOnSensor;
+use pair::Place;
+use scopeservo_features::Features;
+use scopeservo_registration::NotFound;
+use scopeservo_scope::{Axis, Instrument, Objective, ScopeError};
+use serde::{Deserialize, Serialize};
+
+/// Standard deviations of what nobody has measured: backlash of x, y (m) and rotation (rad), the rotation centre, and the centres of two
+/// objectives from each other (m).
+const BACKLASH: [f64; 3] = [30e-6, 30e-6, 1e-4];
+const LEVER_M: f64 = 0.3;
+const PARCENTRIC_M: f64 = 50e-6;
+
+/// A calibration around the present place.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Chain {
+    options: CalibrateOptions,
+    vision: VisionOptions,
+    objective: Objective,
+    /// Where the stage stood when it began, and the way by which the first view was reached.
+    start: Option<PlanarPose>,
+    via: Option<PlanarPose>,
+    taken: Vec<Taken>,
+    /// Of each view.
+    features: Vec<Features>,
+    /// Where each view lies in the first.
+    places: Vec<Option<Place>>,
+    pairs: Vec<Pair>,
+    fixed: FixedOnSensor,
+    fit: Option<JointFit>,
+    last_reason: Option<NotFound>,
+}
+
+impl Chain {
+    pub(crate) fn new(
+        objective: Objective,
+        options: CalibrateOptions,
+        vision: VisionOptions,
+    ) -> Self {
+        Self {
+            options,
+            vision,
+            objective,
+            start: None,
+            via: None,
+            taken: Vec::new(),
+            features: Vec::new(),
+            places: Vec::new(),
+            pairs: Vec::new(),
+            fixed: FixedOnSensor::default(),
+            fit: None,
+            last_reason: None,
+        }
+    }
+
+    /// One more view; or at the end of the path home, and the verdict.
+    pub(crate) fn advance(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Calibration>, ServoError> {
+        let ended = self.work(scope, sink);
+        // What the images have not shown leaves a stage that can go home; a stop or a fault leaves it where it is.
+        if let Err(error) = &ended
+            && error.kind() == ErrorKind::Answer
+        {
+            self.go_home(scope)?;
+        }
+        ended
+    }
+
+    fn work(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<Progress<Calibration>, ServoError> {
+        if self.start.is_none() {
+            self.start = Some(begins(scope)?);
+        }
+        if let Some(next) = self.next(scope)? {
+            self.look(scope, sink, &next)?;
+            return Ok(Progress::Continue);
+        }
+        let (calibration, residual_px) = self.verdict(scope)?;
+        self.go_home(scope)?;
+        let event = Event::Calibrated {
+            calibration: Box::new(calibration.clone()),
+            residual_px,
+            views: self.taken.iter().filter(|t| t.found).count(),
+        };
+        tell(scope, sink, event);
+        Ok(Progress::Done(calibration))
+    }
+
+    fn known(&self, scope: &Instrument) -> Option<Known<'_>> {
+        let (info, camera) = (scope.gate().info(), scope.camera().info());
+        Some(Known {
+            kinematics: info.kinematics,
+            turns: info.axis(Axis::Rz).is_some(),
+            image_size_px: [camera.width, camera.height],
+            nominal_m_per_px: 1e-6 * self.objective.nominal_um_per_px,
+            start: self.start?,
+            optics: 0,
+            taken: &self.taken,
+            fit: self.fit.as_ref(),
+        })
+    }
+
+    fn next(&self, scope: &Instrument) -> Result<Option<Next>, ServoError> {
+        let present = scope.gate().position()?;
+        let goals = scope.gate().goals()?;
+        let allowed = |pose: &PlanarPose| goals.allow(&pose.request(&present));
+        let known = self.known(scope);
+        Ok(known.and_then(|known| next_view(&self.options.path, &known, &allowed)))
+    }
+
+    /// What the views so far say.
+    fn solve(&self, scope: &Instrument) -> Option<JointFit> {
+        let info = scope.gate().info();
+        let sigma = pose_sigma(info);
+        let axes = [Axis::X, Axis::Y, Axis::Rz];
+        let stated = [0, 1, 2].map(|k| info.axis(axes[k]).map(|_| sigma[k].max(LEAST_SIGMA)));
+        let priors = Priors {
+            kinematics: info.kinematics,
+            arrival: stated,
+            sure: false,
+            backlash: BACKLASH,
+            lever_m: LEVER_M,
+            parcentric_m: PARCENTRIC_M,
+        };
+        let views: Vec<View> = self.taken.iter().map(|t| t.view).collect();
+        fit(&priors, &views, &self.pairs)
+    }
+
+    /// Back to the first view, by the way by which it was reached.
+    fn go_home(&self, scope: &Instrument) -> Result<(), ServoError> {
+        let (Some(home), present) = (self.start, scope.gate().position()?) else {
+            return Ok(());
+        };
+        for pose in self.via.iter().chain([&home]) {
+            scope.move_to(&pose.request(&present))?;
+        }
+        Ok(())
+    }
+}
+
+/// A stage that claims to arrive to the last bit is believed so far, m or rad.
+const LEAST_SIGMA: f64 = 1e-9;
+
+/// Where the stage stands, which needs both axes of the plane.
+fn begins(scope: &Instrument) -> Result<PlanarPose, ServoError> {
+    let at = scope.gate().position()?;
+    for (axis, value) in [(Axis::X, at.x), (Axis::Y, at.y)] {
+        if value.is_none() {
+            return Err(ScopeError::NoSuchAxis { axis }.into());
+        }
+    }
+    Ok(PlanarPose::from(&at))
+}

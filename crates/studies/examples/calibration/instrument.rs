@@ -1,0 +1,129 @@
+//! The instruments of a study: the paper's, and others of every kind.
+
+use scopeservo_geometry::{Mat2, SplitMix64};
+use scopeservo_scope::{Axis, CancelToken, Clock, Instrument, StagePose, VirtualClock};
+use scopeservo_servo::Calibration;
+use scopeservo_studies::rounds::Outcome;
+use scopeservo_twin::specimen::Tissue;
+use scopeservo_twin::{Config, StageConfig, Twin};
+use std::sync::Arc;
+
+/// An instrument at a place, with the objective that is to be calibrated.
+pub(crate) struct Bench {
+    pub(crate) twin: Twin,
+    pub(crate) scope: Instrument,
+    skew: f64,
+}
+
+/// What an instrument is made of, in words and as the twin has it.
+pub(crate) struct Design {
+    pub(crate) words: String,
+    pub(crate) config: Config,
+    pub(crate) objective: usize,
+    pub(crate) play_um: f64,
+}
+
+impl Design {
+    /// The paper's instrument, with its three objectives by turns.
+    pub(crate) fn of_paper(index: u64) -> Self {
+        Self {
+            words: "as in the paper".into(),
+            config: Config::realistic(),
+            objective: (index % 3) as usize,
+            play_um: 0.0,
+        }
+    }
+
+    /// Any mounting, stage, play and scatter.
+    pub(crate) fn any(index: u64) -> Self {
+        let mut rng = SplitMix64::new(0xCA11 + index);
+        let mut pick = |n: usize| rng.below(n);
+        let stage = match pick(4) {
+            0 => StageConfig::hexapod(),
+            1 => StageConfig::xyz_theta(),
+            2 => StageConfig::xyz(),
+            _ => StageConfig::xy(),
+        };
+        let play_um = [0.0, 2.0, 5.0, 20.0][pick(4)];
+        let scatter_um = [0.15, 0.5, 1.5, 5.0][pick(4)];
+        let turned = pick(5);
+        let mirrored = pick(2) == 1;
+        let skew = [0.0, 0.005][pick(2)];
+        let stretch = [1.0, 1.005][pick(2)];
+        let objective = pick(3);
+        let mut config = Config::realistic().with_stage(stage);
+        let angle_deg = 360.0 * rng.uniform();
+        config.mount.phi_deg = [0.0, 90.0, 180.0, -90.0]
+            .get(turned)
+            .map_or(angle_deg, |a| *a);
+        (config.mount.mirrored, config.mount.skew) = (mirrored, skew);
+        for optics in &mut config.optics {
+            optics.ky_px_per_m *= stretch;
+        }
+        for axis in &mut config.stage.axes {
+            match axis.axis {
+                Axis::X | Axis::Y => {
+                    (axis.backlash, axis.repeatability) = (play_um, scatter_um);
+                }
+                // The same at a lever of 100 mm.
+                Axis::Rz => {
+                    (axis.backlash, axis.repeatability) = (10.0 * play_um, 10.0 * scatter_um)
+                }
+                _ => {}
+            }
+        }
+        Self {
+            words: format!(
+                "{}, play {play_um} um, repeatability {scatter_um} um, {:.0} deg{}",
+                config.stage.name,
+                config.mount.phi_deg,
+                if mirrored { ", mirrored" } else { "" }
+            ),
+            config,
+            objective,
+            play_um,
+        }
+    }
+
+    /// Over tissue of its own, in focus.
+    pub(crate) fn bench(&self, seed: u64) -> Outcome<Bench> {
+        let mut config = self.config.clone();
+        let optics = config.optics[self.objective].clone();
+        config.optics = vec![optics];
+        let skew = config.mount.skew;
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
+        let twin = Twin::new(config, Arc::new(Tissue::new(seed)), seed, clock)?;
+        let scope = Instrument::new(twin.devices(), twin.rules(), CancelToken::new())?;
+        let mut rng = SplitMix64::new(seed);
+        let mut within = |half: f64| half * (2.0 * rng.uniform() - 1.0);
+        twin.centre_specimen([within(3000.0), within(3000.0)], within(180.0));
+        let bench = Bench { twin, scope, skew };
+        bench.focus()?;
+        Ok(bench)
+    }
+}
+
+impl Bench {
+    /// By the truth: the focus has a study of its own.
+    fn focus(&self) -> Outcome<()> {
+        let gate = self.scope.gate();
+        let Some(z) = gate.position()?.si(Axis::Z) else {
+            return Ok(());
+        };
+        let defocus = self.twin.truth_now().defocus_um * 1e-6;
+        self.scope
+            .move_to(&StagePose::default().with_si(Axis::Z, z - defocus))?;
+        Ok(())
+    }
+
+    /// The true map, m per px row by row, and the true rotation centre, m.
+    pub(crate) fn truth(&self, made: &Calibration) -> Outcome<[f64; 6]> {
+        let truth = self.twin.true_calibration(&made.objective);
+        let t = truth.ok_or("the twin has no such objective")?;
+        let (s, c) = t.phi_deg.to_radians().sin_cos();
+        let camera = Mat2([[1.0 / t.kx, -self.skew / t.kx], [0.0, 1.0 / t.ky]]);
+        let Mat2([[a, b], [d, e]]) = Mat2([[-s, -c], [-c, s]]) * camera;
+        let [x, y] = t.eta_mm.map(|v| v * 1e-3);
+        Ok([a, b, d, e, x, y])
+    }
+}

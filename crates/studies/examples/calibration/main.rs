@@ -1,0 +1,110 @@
+//! Calibrations of simulated instruments against their hidden truth: the paper's Table II, and instruments of every kind.
+//!
+//! `cargo run --release -p scopeservo-studies --example calibration -- table2 --rounds 50`
+//! `cargo run --release -p scopeservo-studies --example calibration -- instruments --count 400`
+//!
+//! Each round stands on other tissue. Every round is kept as a line of its own: a study that was broken off goes on. Beside the lines lies a
+//! page with plots, and the table as CSV. Exit code 1 when a bias exceeds 3 sd / sqrt(rounds), or when truths lie outside of what is stated.
+
+#![expect(clippy::print_stdout, reason = "a study prints its table")]
+
+mod instrument;
+mod page;
+mod record;
+mod table;
+
+use clap::{Parser, Subcommand, ValueEnum};
+use instrument::Design;
+use record::{Record, calibrated};
+use scopeservo_servo::CalibrationMethod;
+use scopeservo_studies::rounds::{Outcome, rounds, threads};
+use std::path::PathBuf;
+
+/// Calibrations of simulated instruments against their hidden truth.
+#[derive(Parser)]
+struct Args {
+    #[command(subcommand)]
+    study: Study,
+    /// joint, or the paper's two steps.
+    #[arg(long, global = true, default_value = "joint")]
+    method: Method,
+    /// Threads; all processors unless told.
+    #[arg(long, global = true, default_value_t = 0)]
+    threads: usize,
+    /// Where rounds are kept; what lies there is not run again. A new folder for a new build.
+    #[arg(long, global = true, default_value = "target/calibration")]
+    out: PathBuf,
+}
+
+#[derive(Subcommand)]
+enum Study {
+    /// The paper's instrument at 10x, 20x and 40x.
+    Table2 {
+        /// Rounds for each objective.
+        #[arg(long, default_value_t = 50)]
+        rounds: u64,
+        /// Only this objective: 10x, 20x or 40x.
+        #[arg(long, value_parser = ["10x", "20x", "40x"])]
+        objective: Option<String>,
+    },
+    /// Any mounting, stage, play and scatter.
+    Instruments {
+        /// Instruments.
+        #[arg(long, default_value_t = 400)]
+        count: u64,
+    },
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Method {
+    Joint,
+    TwoStep,
+}
+
+/// The paper's by turns.
+const OBJECTIVES: [&str; 3] = ["10x", "20x", "40x"];
+
+fn main() -> Outcome<()> {
+    let args = Args::parse();
+    let threads = threads(args.threads)?;
+    let (method, method_name) = match args.method {
+        Method::Joint => (CalibrationMethod::Joint, "joint"),
+        Method::TwoStep => (CalibrationMethod::TwoStep, "two-step"),
+    };
+    type Designer = fn(u64) -> Design;
+    let (name, numbers, design): (&str, Vec<u64>, Designer) = match &args.study {
+        Study::Table2 { rounds, objective } => {
+            let of = |k: &u64| {
+                objective
+                    .as_ref()
+                    .is_none_or(|o| *o == OBJECTIVES[(k % 3) as usize])
+            };
+            let numbers = (0..3 * rounds).filter(of).collect();
+            ("table2", numbers, Design::of_paper)
+        }
+        Study::Instruments { count } => ("instruments", (0..*count).collect(), Design::any),
+    };
+    let path = args.out.join(format!("{name}-{method_name}.jsonl"));
+    let records = rounds(
+        &path,
+        &numbers,
+        threads,
+        |r: &Record| r.index,
+        |k| calibrated(k, &design(k), method),
+    )?;
+    let failed = match args.study {
+        Study::Table2 { .. } => table::of_paper(&records),
+        Study::Instruments { .. } => table::of_any(&records),
+    };
+    let page_path = path.with_extension("html");
+    std::fs::write(
+        &page_path,
+        page::page(&format!("{name}, {method_name}"), &records),
+    )?;
+    std::fs::write(path.with_extension("csv"), table::csv(&records))?;
+    println!("\nplots: {}", page_path.display());
+    if failed {
+        std::process::exit(1);
+    }
+    Ok(())
+}

@@ -1,0 +1,142 @@
+//! One calibration, against the truth.
+
+use crate::instrument::{Bench, Design};
+use scopeservo_geometry::Cholesky;
+use scopeservo_scope::Frame;
+use scopeservo_servo::{
+    Calibrate, CalibrateOptions, Calibration, CalibrationMethod, Event, FrameRole, Sink, Stamped,
+    VisionOptions, run,
+};
+use scopeservo_studies::rounds::Outcome;
+use serde::{Deserialize, Serialize};
+use std::time::Instant;
+
+/// What came of a calibration.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Record {
+    pub(crate) index: u64,
+    /// The instrument in words.
+    pub(crate) design: String,
+    pub(crate) objective: String,
+    pub(crate) play_um: f64,
+    /// Why there is no calibration.
+    pub(crate) refused: Option<String>,
+    /// kx, ky (px/m), phi (deg), eta less the truth (mm), where the map can be read so.
+    pub(crate) reading: Option<[f64; 5]>,
+    /// Map row by row (m/px) and rotation centre (m), less the truth; and its covariance, row by row.
+    pub(crate) off: Vec<f64>,
+    pub(crate) covariance: Vec<f64>,
+    /// Size of a pixel, m.
+    pub(crate) m_per_px: f64,
+    /// Backlash of x and y less the truth, and its standard deviations, um.
+    pub(crate) backlash_off_um: Option<[[f64; 2]; 2]>,
+    pub(crate) views: usize,
+    pub(crate) moves: u64,
+    /// On the instrument's clock, and of computing, simulation included.
+    pub(crate) instrument_s: f64,
+    pub(crate) computing_s: f64,
+}
+
+#[derive(Default)]
+struct Views(usize);
+
+impl Sink for Views {
+    fn event(&mut self, stamped: Stamped) {
+        self.0 += usize::from(matches!(stamped.event, Event::CalibrationView { .. }));
+    }
+    fn frame(&mut self, _: &Frame, _: FrameRole) {}
+}
+
+/// Calibrates the instrument of a design.
+pub(crate) fn calibrated(
+    index: u64,
+    design: &Design,
+    method: CalibrationMethod,
+) -> Outcome<Record> {
+    let bench = design.bench(index)?;
+    let objective = bench.scope.gate().objectives()[0].clone();
+    let options = CalibrateOptions {
+        method,
+        ..CalibrateOptions::default()
+    };
+    let mut calibrate = Calibrate::new(objective.clone(), options, VisionOptions::default());
+    let mut views = Views::default();
+    let before = (
+        bench.scope.clock().now().seconds(),
+        bench.scope.counters().moves,
+    );
+    let began = Instant::now();
+    let made = run(&mut calibrate, &bench.scope, &mut views);
+    let mut record = Record {
+        index,
+        design: design.words.clone(),
+        objective: objective.id.0.clone(),
+        play_um: design.play_um,
+        refused: None,
+        reading: None,
+        off: Vec::new(),
+        covariance: Vec::new(),
+        m_per_px: 1e-6 * objective.nominal_um_per_px,
+        backlash_off_um: None,
+        views: views.0,
+        moves: bench.scope.counters().moves - before.1,
+        instrument_s: bench.scope.clock().now().seconds() - before.0,
+        computing_s: began.elapsed().as_secs_f64(),
+    };
+    match made {
+        Ok(made) => record.fill(&bench, design, &made)?,
+        Err(why) => record.refused = Some(why.to_string()),
+    }
+    Ok(record)
+}
+
+impl Record {
+    fn fill(&mut self, bench: &Bench, design: &Design, made: &Calibration) -> Outcome<()> {
+        let truth = bench.truth(made)?;
+        let [[a, b], [c, d]] = made.stage_from_pixel.0;
+        let [x, y] = made.rotation_centre_m.unwrap_or([truth[4], truth[5]]);
+        let found = [a, b, c, d, x, y];
+        let numbers = if made.rotation_centre_m.is_some() {
+            6
+        } else {
+            4
+        };
+        let covariance = made.covariance.ok_or("no covariance")?;
+        self.off = (0..numbers).map(|k| found[k] - truth[k]).collect();
+        self.covariance = covariance[..numbers]
+            .iter()
+            .flat_map(|row| row[..numbers].to_vec())
+            .collect();
+        self.m_per_px = 1e-6 * made.um_per_px();
+        self.reading = made.reading().map(|r| {
+            let eta_mm = [x - truth[4], y - truth[5]].map(|v| v * 1e3);
+            [
+                r.kx_px_per_m,
+                r.ky_px_per_m,
+                r.phi_rad.to_degrees(),
+                eta_mm[0],
+                eta_mm[1],
+            ]
+        });
+        self.backlash_off_um = made.backlash.map(|b| {
+            let off = [b.x_m, b.y_m].map(|v| 1e6 * v - design.play_um);
+            [off, [1e6 * b.sigma[0], 1e6 * b.sigma[1]]]
+        });
+        Ok(())
+    }
+
+    /// How far each number is from the truth, in its standard deviations.
+    pub(crate) fn pulls(&self) -> Vec<f64> {
+        let n = self.off.len();
+        (0..n)
+            .map(|k| self.off[k] / self.covariance[k * n + k].sqrt())
+            .collect()
+    }
+
+    /// The square of the distance of all numbers together.
+    pub(crate) fn distance_sq(&self) -> Option<f64> {
+        let n = self.off.len();
+        let solved = Cholesky::of(&self.covariance, n)?.solve(&self.off);
+        Some(self.off.iter().zip(solved).map(|(a, b)| a * b).sum())
+    }
+}

@@ -1,0 +1,201 @@
+//! What the records say.
+
+use crate::record::Record;
+use scopeservo_studies::quantile;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+/// Table II: standard deviations of kx, ky (px/m), phi (deg), eta (mm) at 100x, 200x, 400x.
+const PAPER_SD: [(&str, [f64; 5]); 3] = [
+    ("10x", [367.0, 414.0, 0.0198, 0.1072, 0.0511]),
+    ("20x", [1351.0, 822.0, 0.0401, 0.1570, 0.1355]),
+    ("40x", [3047.0, 2908.0, 0.0597, 0.2071, 0.1683]),
+];
+const NAMES: [&str; 5] = [
+    "kx px/m",
+    "ky px/m",
+    "phi deg",
+    "eta1 off mm",
+    "eta2 off mm",
+];
+
+/// The reading, its error and its standard deviations, from the map's.
+fn readings(records: &[&Record]) -> Vec<[f64; 5]> {
+    records.iter().filter_map(|r| r.reading).collect()
+}
+
+fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    values.clone().sum::<f64>() / values.count().max(1) as f64
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    quantile(&values.collect::<Vec<_>>(), 0.5)
+}
+
+/// What the first-order propagation says of the reading: kx, ky relative by the map's columns, phi by both, eta itself.
+fn stated(r: &Record) -> [f64; 5] {
+    let n = r.off.len();
+    let c = |i: usize, j: usize| r.covariance[i * n + j];
+    let column = |k: usize| ((c(k, k) + c(k + 2, k + 2)) / 2.0).sqrt() / r.m_per_px;
+    let [kx, ky, ..] = r.reading.unwrap_or_default();
+    let turn = column(0).hypot(column(1)) / 2f64.sqrt();
+    let eta = |k: usize| {
+        if n > 4 {
+            c(4 + k, 4 + k).sqrt() * 1e3
+        } else {
+            0.0
+        }
+    };
+    [
+        kx.abs() * column(0),
+        ky.abs() * column(1),
+        turn.to_degrees(),
+        eta(0),
+        eta(1),
+    ]
+}
+
+/// The table of the paper's instrument; whether anything is wrong.
+pub(crate) fn of_paper(records: &[Record]) -> bool {
+    println!("| objective | | mean | sd | relative | stated sd | the paper's sd | ratio | views |");
+    println!("|---|---|---|---|---|---|---|---|---|");
+    for (name, paper) in PAPER_SD {
+        let of: Vec<&Record> = records
+            .iter()
+            .filter(|r| r.objective == name && r.refused.is_none())
+            .collect();
+        if of.is_empty() {
+            continue;
+        }
+        let values = readings(&of);
+        let n = values.len() as f64;
+        for k in 0..5 {
+            let mean_k = mean(values.iter().map(|v| v[k]));
+            let sd =
+                (values.iter().map(|v| (v[k] - mean_k).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
+            let said = median(of.iter().map(|r| stated(r)[k]));
+            let relative = match k {
+                0 | 1 => format!("{:.4} %", 100.0 * sd / mean_k.abs()),
+                _ => "-".into(),
+            };
+            println!(
+                "| {name} | {} | {mean_k:.5} | {sd:.5} | {relative} | {said:.5} | {} | {:.1} | {} |",
+                NAMES[k],
+                paper[k],
+                paper[k] / sd,
+                median(of.iter().map(|r| r.views as f64))
+            );
+        }
+    }
+    println!();
+    within(records)
+}
+
+/// The table of instruments of every kind; whether anything is wrong.
+pub(crate) fn of_any(records: &[Record]) -> bool {
+    within(records)
+}
+
+const CHI_95: [(usize, f64); 2] = [(4, 9.488), (6, 12.592)];
+
+/// By groups: how many were calibrated, the shares of 95 % intervals that hold the truth, bias over its standard deviation.
+fn within(records: &[Record]) -> bool {
+    let mut groups: BTreeMap<String, Vec<&Record>> = BTreeMap::new();
+    for r in records {
+        groups
+            .entry(format!("play {} um", r.play_um))
+            .or_default()
+            .push(r);
+        groups
+            .entry(format!("with {}", r.objective))
+            .or_default()
+            .push(r);
+        groups.entry("all".into()).or_default().push(r);
+    }
+    println!(
+        "| group | rounds | calibrated | 95 % hold the map | the centre | all jointly | the play | mean pulls | views | moves | on the instrument s | computing s |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
+    let mut failed = false;
+    for (name, all) in &groups {
+        let made: Vec<&&Record> = all.iter().filter(|r| r.refused.is_none()).collect();
+        let pulls = |range: std::ops::Range<usize>| -> Vec<f64> {
+            let of = made.iter().flat_map(|r| r.pulls().into_iter().enumerate());
+            of.filter(|(k, _)| range.contains(k))
+                .map(|(_, p)| p)
+                .collect()
+        };
+        let share =
+            |pulls: &[f64]| 100.0 * mean(pulls.iter().map(|p| f64::from(u8::from(p.abs() < 1.96))));
+        let jointly = made.iter().map(|r| {
+            let limit = CHI_95
+                .iter()
+                .find(|(n, _)| *n == r.off.len())
+                .map_or(0.0, |c| c.1);
+            f64::from(u8::from(r.distance_sq().is_some_and(|d| d < limit)))
+        });
+        let play: Vec<f64> = made
+            .iter()
+            .filter_map(|r| r.backlash_off_um)
+            .flat_map(|[off, sigma]| [off[0] / sigma[0], off[1] / sigma[1]])
+            .collect();
+        let (map, centre) = (pulls(0..4), pulls(4..6));
+        let bias = |k: usize| {
+            let of = pulls(k..k + 1);
+            mean(of.iter().copied()) * (of.len() as f64).sqrt()
+        };
+        let biases: Vec<f64> = (0..6).map(bias).collect();
+        failed |= name == "all" && biases.iter().any(|b| b.abs() > 3.5);
+        println!(
+            "| {name} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {} | {} | {} | {:.1} | {:.1} |",
+            all.len(),
+            made.len(),
+            share(&map),
+            share(&centre),
+            100.0 * mean(jointly),
+            share(&play),
+            biases
+                .iter()
+                .map(|b| format!("{b:.1}"))
+                .collect::<Vec<_>>()
+                .join(" "),
+            median(made.iter().map(|r| r.views as f64)),
+            median(made.iter().map(|r| r.moves as f64)),
+            median(made.iter().map(|r| r.instrument_s)),
+            median(made.iter().map(|r| r.computing_s)),
+        );
+    }
+    for r in records.iter().filter(|r| r.refused.is_some()) {
+        println!(
+            "refused {}: {}: {}",
+            r.index,
+            r.design,
+            r.refused.as_deref().unwrap_or_default()
+        );
+    }
+    failed
+}
+
+/// A line for each round.
+pub(crate) fn csv(records: &[Record]) -> String {
+    let mut out = String::from(
+        "round,instrument,objective,play_um,refused,kx_px_per_m,ky_px_per_m,phi_deg,eta1_off_mm,eta2_off_mm,views,moves\n",
+    );
+    for r in records {
+        let reading = r
+            .reading
+            .map_or(",,,,".into(), |v| v.map(|v| v.to_string()).join(","));
+        let _ = writeln!(
+            out,
+            "{},\"{}\",{},{},{},{reading},{},{}",
+            r.index,
+            r.design,
+            r.objective,
+            r.play_um,
+            r.refused.is_some(),
+            r.views,
+            r.moves
+        );
+    }
+    out
+}
