@@ -26,6 +26,8 @@ fn coverage(index: u64, coupled: bool, rounds: u64) -> ([f64; 9], f64, f64) {
     for seed in 0..rounds {
         let mut world = World::hexapod(1000 * (index + 1) + seed);
         (world.backlash, world.sticks) = (backlash, !coupled);
+        // Every other drifts.
+        world.drift = [[0.0; 2], [8e-9, -6e-9]][(seed % 2) as usize];
         let fit = world.calibrate(&options, HOME).fit.unwrap();
         let off = world.off(&fit);
         for k in 0..9 {

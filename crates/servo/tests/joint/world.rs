@@ -12,12 +12,17 @@ pub(crate) const HEXAPOD: [f64; 3] = [0.15e-6, 0.15e-6, 3e-6];
 /// Registration noise: centre px, angle rad.
 pub(crate) const NOISE: [f64; 2] = [0.03, 2e-4];
 
+/// Seconds from view to view.
+const VIEW_S: f64 = 0.5;
+
 pub(crate) struct World {
     pub(crate) kinematics: Kinematics,
     pub(crate) turns: bool,
     pub(crate) optics: Optics,
     pub(crate) backlash: [f64; 3],
     pub(crate) scatter: [f64; 3],
+    /// x and y, m/s.
+    pub(crate) drift: [f64; 2],
     pub(crate) reach: [f64; 3],
     /// How far from the first view there is something to see, m.
     pub(crate) extent_m: f64,
@@ -56,6 +61,7 @@ impl World {
             optics: paper_400x(),
             backlash: [0.0; 3],
             scatter: HEXAPOD,
+            drift: [0.0; 2],
             reach: [17e-3, 16e-3, 21f64.to_radians()],
             extent_m: 1.0,
             rng: SplitMix64::new(seed),
@@ -72,6 +78,7 @@ impl World {
         Priors {
             kinematics: self.kinematics,
             arrival: [Some(x), Some(y), self.turns.then_some(turn)],
+            drift_m_per_s: 10e-9,
             sure: false,
             backlash: [30e-6, 30e-6, 1e-4],
             lever_m: 0.3,
@@ -97,6 +104,10 @@ impl World {
         let mut truly = self.contact;
         for (k, truly) in truly.iter_mut().enumerate().take(axes) {
             *truly += self.scattered[k];
+        }
+        let time_s = VIEW_S * self.truly.len() as f64;
+        for (truly, drift) in truly.iter_mut().zip(self.drift) {
+            *truly += drift * time_s;
         }
         self.truly.push(truly);
     }
@@ -204,6 +215,7 @@ impl World {
                     optics: 0,
                     reported: next.pose,
                     approach: next.approach,
+                    time_s: VIEW_S * index as f64,
                     arrived: next.arrived,
                 },
                 found: index == 0 || !seen.is_empty(),

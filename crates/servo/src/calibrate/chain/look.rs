@@ -49,6 +49,7 @@ impl Chain {
                 optics: 0,
                 reported: PlanarPose::from(&at),
                 approach: next.approach,
+                time_s: frame.exposure_start.seconds(),
                 arrived: next.arrived,
             },
             found: place.is_some(),

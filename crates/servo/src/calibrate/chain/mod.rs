@@ -23,6 +23,8 @@ use serde::{Deserialize, Serialize};
 const BACKLASH: [f64; 3] = [30e-6, 30e-6, 1e-4];
 const LEVER_M: f64 = 0.3;
 const PARCENTRIC_M: f64 = 50e-6;
+/// What is warm or hangs on a cable drifts by some nm/s.
+const DRIFT_M_PER_S: f64 = 10e-9;
 
 /// A calibration around the present place.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -136,6 +138,7 @@ impl Chain {
         let priors = Priors {
             kinematics: info.kinematics,
             arrival: stated,
+            drift_m_per_s: DRIFT_M_PER_S,
             sure: false,
             backlash: BACKLASH,
             lever_m: LEVER_M,

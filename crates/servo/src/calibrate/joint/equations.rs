@@ -156,16 +156,32 @@ impl Problem<'_> {
             add(&[(play, 1.0)], backlash, priors.backlash[k], None);
             for (v, (view, pose)) in self.views.iter().zip(&at.poses).enumerate() {
                 let half = f64::from(view.approach[k]) / 2.0;
-                let off = axes(pose)[k] - axes(&view.reported)[k] + half * backlash;
+                let since_s = view.time_s - self.views[0].time_s;
+                let drifted = at.drift.get(k).map_or(0.0, |drift| drift * since_s);
+                let off = axes(pose)[k] - axes(&view.reported)[k] + half * backlash - drifted;
                 let here = order.pose(v) + k;
                 if view.arrived[k] || v == 0 {
-                    add(&[(here, 1.0), (play, half)], off, sigma, Some(k));
+                    let mut by = vec![(here, 1.0), (play, half)];
+                    if k < 2 {
+                        by.push((order.drift() + k, -since_s));
+                    }
+                    add(&by, off, sigma, Some(k));
                 } else {
                     let before = axes(&at.poses[v - 1])[k] - axes(&self.views[v - 1].reported)[k];
                     let stood = axes(pose)[k] - axes(&view.reported)[k] - before;
                     let by = [(here, 1.0), (here - 3, -1.0)];
                     add(&by, stood, STANDS * sigma, None);
                 }
+            }
+        }
+        if priors.drift_m_per_s > 0.0 {
+            for (k, drift) in at.drift.into_iter().enumerate() {
+                add(
+                    &[(order.drift() + k, 1.0)],
+                    drift,
+                    priors.drift_m_per_s,
+                    None,
+                );
             }
         }
         let centre =
@@ -188,6 +204,9 @@ impl Problem<'_> {
         for k in (0..3).filter(|k| self.priors.arrival[*k].is_none()) {
             held.extend((0..order.views).map(|v| order.pose(v) + k));
             held.push(order.backlash() + k);
+        }
+        if self.priors.drift_m_per_s <= 0.0 {
+            held.extend([0, 1].map(|k| order.drift() + k));
         }
         if self.priors.arrival[2].is_none() {
             held.extend([4, 5].map(|k| order.optics(0) + k));

@@ -14,6 +14,9 @@ pub struct View {
     pub reported: PlanarPose,
     /// x, y, rotation: 1 where the axis arrived going up, -1 going down, with its play taken up.
     pub approach: [i8; 3],
+    /// When it was taken, on any clock, s.
+    #[serde(default)]
+    pub time_s: f64,
     /// Whether the axis has arrived anew since the view before; else it stands as it stood there, with whatever it was off.
     pub arrived: [bool; 3],
 }
@@ -40,6 +43,9 @@ pub struct Priors {
     pub kinematics: Kinematics,
     /// Standard deviation of where an arrival ends, x, y (m) and rotation (rad). `None`: there is no such axis, it rests.
     pub arrival: [Option<f64>; 3],
+    /// Standard deviation of how fast the stage drifts, x and y, m/s; 0: it does not.
+    #[serde(default)]
+    pub drift_m_per_s: f64,
     /// Whether arrivals and pairs scatter as stated; else what is seen tells.
     #[serde(default)]
     pub sure: bool,
@@ -76,13 +82,15 @@ pub struct Instrument {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Unknowns {
     pub(super) poses: Vec<PlanarPose>,
+    /// How fast the stage drifts, x and y, m/s.
+    pub(super) drift: Vec2,
     pub(super) instrument: Instrument,
 }
 
 /// Numbers that one optics has: the map row by row, then the centre.
 pub(super) const OPTICS: usize = 6;
 
-/// Where each unknown stands: three for each pose, three of backlash, six for each optics. Those of the instrument come last.
+/// Where each unknown stands: three for each pose, two of drift, three of backlash, six for each optics. Those of the instrument come last.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Order {
     pub(super) views: usize,
@@ -93,11 +101,14 @@ impl Order {
     pub(super) fn pose(self, view: usize) -> usize {
         3 * view
     }
-    pub(super) fn backlash(self) -> usize {
+    pub(super) fn drift(self) -> usize {
         3 * self.views
     }
+    pub(super) fn backlash(self) -> usize {
+        self.drift() + 2
+    }
     pub(super) fn optics(self, index: usize) -> usize {
-        3 * self.views + 3 + OPTICS * index
+        self.backlash() + 3 + OPTICS * index
     }
     pub(super) fn count(self) -> usize {
         self.optics(self.optics)
@@ -121,6 +132,7 @@ impl Unknowns {
             pose.x_m.iter_mut().for_each(&mut add);
             add(&mut pose.theta_rad);
         }
+        moved.drift.iter_mut().for_each(&mut add);
         moved.instrument.backlash.iter_mut().for_each(&mut add);
         for optics in &mut moved.instrument.optics {
             let map = optics.stage_from_pixel.0.as_flattened_mut();

@@ -80,6 +80,7 @@ pub(super) fn start(problem: &Problem) -> Option<Unknowns> {
     });
     Some(Unknowns {
         poses: problem.views.iter().map(|v| v.reported).collect(),
+        drift: [0.0; 2],
         instrument: Instrument {
             backlash: [0.0; 3],
             optics: optics.collect::<Option<_>>()?,
