@@ -132,7 +132,7 @@ fn killed_and_resumed(
 
 fn kills() -> usize {
     let told = std::env::var("SCOPESERVO_KILLS").ok();
-    told.map_or(20, |n| n.parse().expect("a number of kills"))
+    told.map_or(15, |n| n.parse().expect("a number of kills"))
 }
 
 /// Most of the time is the microscope's, so that three share the kills.

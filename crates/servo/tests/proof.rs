@@ -7,8 +7,8 @@ use scopeservo_scope::{
     Axis, CancelToken, Clock, Instrument, ObjectiveId, StagePose, VirtualClock,
 };
 use scopeservo_servo::{
-    Calibrate, CalibrateOptions, Calibration, Event, NoSink, Outcome, Procedure, Progress, Reason,
-    Reposition, SaveOptions, SaveTarget, ServoEnd, ServoError, Target, Verdict, VisionOptions, run,
+    Calibrate, Calibration, Event, NoSink, Outcome, Procedure, Progress, Reason, Reposition,
+    SaveOptions, SaveTarget, ServoEnd, ServoError, Target, Verdict, VisionOptions, run,
 };
 use scopeservo_twin::specimen::Specimen;
 use scopeservo_twin::{
@@ -30,7 +30,7 @@ fn calibration() -> (ObjectiveId, Calibration) {
     let objective = bench.scope.gate().objectives()[0].clone();
     let mut calibrate = Calibrate::new(
         objective.clone(),
-        CalibrateOptions::default(),
+        options().calibrate,
         VisionOptions::default(),
     );
     let made = run(&mut calibrate, &bench.scope, &mut NoSink).unwrap();
@@ -361,7 +361,7 @@ fn text_that_shifts_by_a_letter_as_digits_come_is_not_the_specimen() {
             let bench = bench(config.clone());
             let objective = bench.scope.gate().objectives()[0].clone();
             let id = objective.id.clone();
-            let (options, vision) = (CalibrateOptions::default(), VisionOptions::default());
+            let (options, vision) = (options().calibrate, VisionOptions::default());
             let mut calibrate = Calibrate::new(objective, options, vision);
             (id, run(&mut calibrate, &bench.scope, &mut NoSink).unwrap())
         };
@@ -446,7 +446,7 @@ fn a_target_that_is_there_twice_in_the_widest_view_is_ambiguous() {
     let mut known = Vec::new();
     for objective in bench.scope.gate().objectives().to_vec() {
         bench.scope.select_objective(&objective.id).unwrap();
-        let (options, vision) = (CalibrateOptions::default(), VisionOptions::default());
+        let (options, vision) = (options().calibrate, VisionOptions::default());
         let mut calibrate = Calibrate::new(objective.clone(), options, vision);
         let made = run(&mut calibrate, &bench.scope, &mut NoSink).unwrap();
         known.push((objective.id, made));
