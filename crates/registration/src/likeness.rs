@@ -366,11 +366,16 @@ impl Pair {
         best.1
     }
 
+    /// Those of all patches that lie in both images.
+    fn likenesses(&self, target_from_view: &Affine2) -> Vec<Likeness> {
+        let seen = self.look(target_from_view).unwrap_or_default();
+        seen.into_iter().filter_map(|(_, seen)| seen).collect()
+    }
+
     /// Of the patches with the most structure, the share that a transform explains: near 1 for a right one, whatever the noise, and small for
     /// one that a few places happen to agree on.
     pub fn share_explained(&self, target_from_view: &Affine2) -> f64 {
-        let seen = self.look(target_from_view).unwrap_or_default();
-        let seen: Vec<Likeness> = seen.into_iter().filter_map(|(_, seen)| seen).collect();
+        let seen = self.likenesses(target_from_view);
         let mut variances: Vec<f64> = seen.iter().map(|l| l.variance).collect();
         let Some(last) = variances.len().checked_sub(1) else {
             return 0.0;
@@ -386,8 +391,7 @@ impl Pair {
     /// Of the patches with structure, the share of those whose structure is far from what the transform puts there: nearly none of two
     /// images of one place, whatever the noise. Of two places behind the same dust it is all that they show beside it.
     pub fn share_contradicted(&self, target_from_view: &Affine2) -> f64 {
-        let seen = self.look(target_from_view).unwrap_or_default();
-        let seen: Vec<Likeness> = seen.into_iter().filter_map(|(_, seen)| seen).collect();
+        let seen = self.likenesses(target_from_view);
         let Some(noise) = noise(seen.iter().copied()) else {
             return 0.0;
         };
