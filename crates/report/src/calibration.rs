@@ -145,7 +145,7 @@ fn quantities(c: &Calibration, truth: Option<&TrueCalibration>) -> Vec<Quantity>
         name: "pixel",
         unit: "µm",
         value: c.um_per_px(),
-        sigma: sigma(c, |c| Some(c.um_per_px())),
+        sigma: c.sigma_of(|c| Some(c.um_per_px())),
         truth: truth.map(|t| 1e6 / (t.kx_px_per_m * t.ky_px_per_m).abs().sqrt()),
     }];
     if let Some(reading) = c.reading() {
@@ -176,7 +176,7 @@ fn quantities(c: &Calibration, truth: Option<&TrueCalibration>) -> Vec<Quantity>
                     name,
                     unit,
                     value,
-                    sigma: sigma(c, of),
+                    sigma: c.sigma_of(of),
                     truth: truth.map(|t| t[k] * scale),
                 });
             }
@@ -196,25 +196,6 @@ fn quantities(c: &Calibration, truth: Option<&TrueCalibration>) -> Vec<Quantity>
     }
     out.retain(|q| q.value.is_finite());
     out
-}
-
-/// Standard deviation of a function of the map: `g^T C g`, its gradient g by central differences.
-fn sigma(c: &Calibration, of: impl Fn(&Calibration) -> Option<f64>) -> Option<f64> {
-    let covariance = c.covariance?;
-    let step = 1e-5 * c.stage_from_pixel.frobenius();
-    let mut gradient = [0.0; 4];
-    for (k, g) in gradient.iter_mut().enumerate() {
-        let at = |sign: f64| {
-            let mut moved = c.clone();
-            moved.stage_from_pixel.0[k / 2][k % 2] += sign * step;
-            of(&moved)
-        };
-        *g = (at(1.0)? - at(-1.0)?) / (2.0 * step);
-    }
-    let variance: f64 = (0..16)
-        .map(|i| gradient[i / 4] * covariance[i / 4][i % 4] * gradient[i % 4])
-        .sum();
-    (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
 }
 
 /// Where the reference image's middle was seen in each view.
@@ -291,9 +272,9 @@ mod tests {
             backlash: None,
             scatter: None,
         };
-        let s = sigma(&c, |c| Some(c.reading()?.kx_px_per_m)).unwrap();
+        let s = c.sigma_of(|c| Some(c.reading()?.kx_px_per_m)).unwrap();
         assert!((s / (1e-3 * kx.abs()) - 1.0).abs() < 1e-3, "{s}");
-        let s = sigma(&c, |c| Some(c.um_per_px())).unwrap();
+        let s = c.sigma_of(|c| Some(c.um_per_px())).unwrap();
         let expected = 1e-3 * c.um_per_px() / 2f64.sqrt();
         assert!((s / expected - 1.0).abs() < 1e-3, "{s}");
     }

@@ -90,6 +90,26 @@ impl Calibration {
         self.stage_from_pixel.det().abs().sqrt() * 1e6
     }
 
+    /// Standard deviation of a number that is read off the map: `g^T C g`, its gradient g by central differences. `None` where it cannot be
+    /// read, or the covariance is not known.
+    pub fn sigma_of(&self, number: impl Fn(&Self) -> Option<f64>) -> Option<f64> {
+        let covariance = self.covariance?;
+        let step = 1e-5 * self.stage_from_pixel.frobenius();
+        let mut gradient = [0.0; 4];
+        for (k, g) in gradient.iter_mut().enumerate() {
+            let at = |sign: f64| {
+                let mut moved = self.clone();
+                moved.stage_from_pixel.0[k / 2][k % 2] += sign * step;
+                number(&moved)
+            };
+            *g = (at(1.0)? - at(-1.0)?) / (2.0 * step);
+        }
+        let variance: f64 = (0..16)
+            .map(|i| gradient[i / 4] * covariance[i / 4][i % 4] * gradient[i % 4])
+            .sum();
+        (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
+    }
+
     /// Standard deviations of where the stage stands beside where it says, x, y (m) and rotation (rad): `stated` ones, or what was seen where
     /// that is more, and the play.
     pub(crate) fn pose_sigma(&self, stated: [f64; 3]) -> [f64; 3] {

@@ -41,15 +41,16 @@ fn run_up(present: &StagePose, goal: &StagePose, calibration: &Calibration) -> O
     (via != *goal).then_some(via)
 }
 
-/// Moves to a goal, each axis that is known to have play going up at the end. Where the rules leave no room for that it goes straight there.
+/// Moves from where the stage stands to a goal, each axis that is known to have play going up at the end. Where the rules leave no room for
+/// that it goes straight there.
 pub(crate) fn move_from_one_side(
     scope: &Instrument,
+    present: &StagePose,
     goal: &StagePose,
     calibration: &Calibration,
 ) -> Result<StagePose, ServoError> {
-    let present = scope.gate().position()?;
-    if let Some(via) = run_up(&present, goal, calibration)
-        && scope.gate().goals()?.allow(&via)
+    if let Some(via) = run_up(present, goal, calibration)
+        && scope.gate().allowed(&[via])? == [true]
     {
         scope.move_to(&via)?;
     }

@@ -98,19 +98,14 @@ fn show_made(answer: &Answer, made: &[Made]) {
 }
 
 fn show_calibration(answer: &Answer, calibration: &Calibration, residual_px: Option<f64>) {
-    let sigma = calibration.covariance.map(|c| {
-        // The relative standard deviation of the first column's length, to first order along x.
-        let [[a, _], [b, _]] = calibration.stage_from_pixel.0;
-        let length_sq = a * a + b * b;
-        let gradient = [a / length_sq, 0.0, b / length_sq, 0.0];
-        let mut variance = 0.0;
-        for i in 0..4 {
-            for j in 0..4 {
-                variance += gradient[i] * c[i][j] * gradient[j];
-            }
-        }
-        100.0 * variance.max(0.0).sqrt()
-    });
+    // Of the first column's length, relative.
+    let column_m = |c: &Calibration| {
+        let [[a, _], [b, _]] = c.stage_from_pixel.0;
+        f64::hypot(a, b)
+    };
+    let sigma = calibration
+        .sigma_of(|c| Some(column_m(c)))
+        .map(|s| 100.0 * s / column_m(calibration));
     say!(
         answer,
         "{}: {:.4} um per pixel{}{}",

@@ -7,7 +7,8 @@ use crate::{GateEvent, ObjectiveId, ScopeError, StagePose};
 /// Where the stage may go from where it stood; by [`MotionGate::goals`].
 pub struct Goals<'a> {
     gate: &'a MotionGate,
-    here: StagePose,
+    /// Where it stood.
+    pub here: StagePose,
     in_beam: Vec<ObjectiveId>,
 }
 

@@ -2,6 +2,7 @@
 
 use super::joint::PathOptions;
 use crate::{Calibration, ServoError};
+use scopeservo_registration::NotFound;
 use scopeservo_scope::Objective;
 use serde::{Deserialize, Serialize};
 
@@ -57,11 +58,13 @@ impl Default for CalibrateOptions {
 }
 
 impl CalibrateOptions {
-    /// Refuses a scale that is far from what is engraved.
-    pub(super) fn plausible(
+    /// Refuses a scale that is far from what is engraved; and what is seen farther from what the stage reports than `explained_px`, the part of
+    /// its repeatability, allows; views that are `contradicted` by others; a pixel much longer one way than the other.
+    pub(super) fn judge(
         &self,
         calibration: &Calibration,
         objective: &Objective,
+        (residual_px, explained_px, contradicted): (f64, f64, bool),
     ) -> Result<(), ServoError> {
         let (measured, nominal) = (calibration.um_per_px(), objective.nominal_um_per_px);
         let factor = (measured / nominal).max(nominal / measured);
@@ -72,6 +75,36 @@ impl CalibrateOptions {
                 nominal_um_per_px: nominal,
             });
         }
+        // One pixel is for what the data sheet does not name: vibration, drift, the slide's seat.
+        let allowed_px = 1.0 + self.residual_factor * explained_px;
+        let [large, small] = calibration.stage_from_pixel.svd().s;
+        if residual_px > allowed_px || contradicted || large > self.anisotropy * small {
+            return Err(ServoError::CalibrationInconsistent {
+                objective: objective.id.clone(),
+                residual_px,
+                allowed_px,
+            });
+        }
         Ok(())
+    }
+}
+
+/// That too few views were found, the last of them because of `last`.
+pub(super) fn too_few(
+    objective: &Objective,
+    measured: usize,
+    needed: usize,
+    last: Option<&NotFound>,
+) -> ServoError {
+    let nothing = NotFound::TooFewFeatures {
+        view: 0,
+        target: 0,
+        needed,
+    };
+    ServoError::CalibrationViews {
+        objective: objective.id.clone(),
+        measured,
+        needed,
+        last: last.cloned().unwrap_or(nothing),
     }
 }

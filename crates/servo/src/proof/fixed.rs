@@ -4,7 +4,7 @@
 use crate::VisionOptions;
 use crate::vision::same_objective;
 use scopeservo_features::{Features, GrayImage, Keypoint, Mask};
-use scopeservo_geometry::{Affine2, Vec2};
+use scopeservo_geometry::{Affine2, Correspondence, Vec2};
 use scopeservo_registration::Prior;
 use scopeservo_registration::likeness::{Likeness, Plane, likeness};
 use serde::{Deserialize, Serialize};
@@ -12,6 +12,11 @@ use std::collections::BTreeSet;
 
 /// What moves nearer than this cannot be told from what stays, pixels.
 pub(crate) const LEAST_PX: f64 = 3.0;
+
+/// Whether both images of a place lie at one place of the sensor.
+pub(crate) fn stays(c: &Correspondence) -> bool {
+    f64::hypot(c.p_in_a[0] - c.p_in_b[0], c.p_in_a[1] - c.p_in_b[1]) <= LEAST_PX
+}
 /// A place is taken for moved or fixed when its patch correlates at least so much with where that puts it,
 const ALIKE: f64 = 0.6;
 /// and by this much less with where the other does.

@@ -20,7 +20,7 @@ use std::collections::{BTreeSet, HashMap};
 pub(crate) use aside::{Aside, SEEN_PX, Seen, step_aside};
 pub(crate) use drift::Drift;
 pub use fixed::FixedPlaces;
-pub(crate) use fixed::{LEAST_PX, Parallax, Place};
+pub(crate) use fixed::{LEAST_PX, Parallax, Place, stays};
 pub(crate) use pattern::look_around;
 
 /// So many frames from elsewhere are kept: the latest.

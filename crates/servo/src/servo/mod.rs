@@ -67,7 +67,8 @@ impl Servo {
             Standing::Outside => {
                 let velocity = task.velocity(&located.pose, test.turns);
                 self.moving(&located, &velocity);
-                move_from_one_side(scope, &sight.goal(&velocity), task.view_calibration)?;
+                let goal = sight.goal(&velocity);
+                move_from_one_side(scope, &present, &goal, task.view_calibration)?;
             }
         }
         self.convergence.iteration += 1;

@@ -23,11 +23,11 @@ pub(crate) struct Record {
     pub(crate) refused: Option<String>,
     /// kx, ky (px/m), phi (deg), eta less the truth (mm), where the map can be read so.
     pub(crate) reading: Option<[f64; 5]>,
+    /// The standard deviations that are stated of it.
+    pub(crate) stated: Option<[f64; 5]>,
     /// Map row by row (m/px) and rotation centre (m), less the truth; and its covariance, row by row.
     pub(crate) off: Vec<f64>,
     pub(crate) covariance: Vec<f64>,
-    /// Size of a pixel, m.
-    pub(crate) m_per_px: f64,
     /// Backlash of x and y less the truth, and its standard deviations, um.
     pub(crate) backlash_off_um: Option<[[f64; 2]; 2]>,
     pub(crate) views: usize,
@@ -74,9 +74,9 @@ pub(crate) fn calibrated(
         play_um: design.play_um,
         refused: None,
         reading: None,
+        stated: None,
         off: Vec::new(),
         covariance: Vec::new(),
-        m_per_px: 1e-6 * objective.nominal_um_per_px,
         backlash_off_um: None,
         views: views.0,
         moves: bench.scope.counters().moves - before.1,
@@ -107,7 +107,6 @@ impl Record {
             .iter()
             .flat_map(|row| row[..numbers].to_vec())
             .collect();
-        self.m_per_px = 1e-6 * made.um_per_px();
         self.reading = made.reading().map(|r| {
             let eta_mm = [x - truth[4], y - truth[5]].map(|v| v * 1e3);
             [
@@ -116,6 +115,17 @@ impl Record {
                 r.phi_rad.to_degrees(),
                 eta_mm[0],
                 eta_mm[1],
+            ]
+        });
+        let sigma = |number: fn(&Calibration) -> Option<f64>| made.sigma_of(number).unwrap_or(0.0);
+        let eta_mm = |k: usize| 1e3 * covariance[4 + k][4 + k].sqrt();
+        self.stated = self.reading.map(|_| {
+            [
+                sigma(|c| Some(c.reading()?.kx_px_per_m)),
+                sigma(|c| Some(c.reading()?.ky_px_per_m)),
+                sigma(|c| Some(c.reading()?.phi_rad.to_degrees())),
+                eta_mm(0),
+                eta_mm(1),
             ]
         });
         self.backlash_off_um = made.backlash.map(|b| {

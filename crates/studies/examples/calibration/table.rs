@@ -32,29 +32,6 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     quantile(&values.collect::<Vec<_>>(), 0.5)
 }
 
-/// What the first-order propagation says of the reading: kx, ky relative by the map's columns, phi by both, eta itself.
-fn stated(r: &Record) -> [f64; 5] {
-    let n = r.off.len();
-    let c = |i: usize, j: usize| r.covariance[i * n + j];
-    let column = |k: usize| ((c(k, k) + c(k + 2, k + 2)) / 2.0).sqrt() / r.m_per_px;
-    let [kx, ky, ..] = r.reading.unwrap_or_default();
-    let turn = column(0).hypot(column(1)) / 2f64.sqrt();
-    let eta = |k: usize| {
-        if n > 4 {
-            c(4 + k, 4 + k).sqrt() * 1e3
-        } else {
-            0.0
-        }
-    };
-    [
-        kx.abs() * column(0),
-        ky.abs() * column(1),
-        turn.to_degrees(),
-        eta(0),
-        eta(1),
-    ]
-}
-
 /// The table of the paper's instrument; whether anything is wrong.
 pub(crate) fn of_paper(records: &[Record]) -> bool {
     println!("| objective | | mean | sd | relative | stated sd | the paper's sd | ratio | views |");
@@ -73,7 +50,7 @@ pub(crate) fn of_paper(records: &[Record]) -> bool {
             let mean_k = mean(values.iter().map(|v| v[k]));
             let sd =
                 (values.iter().map(|v| (v[k] - mean_k).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
-            let said = median(of.iter().map(|r| stated(r)[k]));
+            let said = median(of.iter().filter_map(|r| Some(r.stated?[k])));
             let relative = match k {
                 0 | 1 => format!("{:.4} %", 100.0 * sd / mean_k.abs()),
                 _ => "-".into(),

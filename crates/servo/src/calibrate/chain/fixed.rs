@@ -12,11 +12,6 @@ const STAYED: u32 = 2;
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct FixedOnSensor(Vec<([f32; 2], u32)>);
 
-/// Whether both images of a place lie at one place of the sensor.
-pub(super) fn stays(c: &Correspondence) -> bool {
-    f64::hypot(c.p_in_a[0] - c.p_in_b[0], c.p_in_a[1] - c.p_in_b[1]) <= LEAST_PX
-}
-
 impl FixedOnSensor {
     fn near(&self, [x, y]: [f32; 2]) -> Option<usize> {
         let near = |p: &[f32; 2]| f64::from(f32::hypot(p[0] - x, p[1] - y)) <= LEAST_PX;

@@ -2,16 +2,15 @@
 
 use super::super::joint::{Next, Pair, Role, Taken, View, partners};
 use super::Chain;
-use super::fixed::stays;
 use super::pair::{Place, pair_of};
 use crate::event::tell;
 use crate::kinematics::PlanarPose;
-use crate::proof::SEEN_PX;
+use crate::proof::{SEEN_PX, stays};
 use crate::vision::{grab, gray, same_objective};
 use crate::{Event, FrameRole, ServoError, Sink};
 use scopeservo_features::Features;
 use scopeservo_registration::{Correspondences, Registration, register_correspondences};
-use scopeservo_scope::Instrument;
+use scopeservo_scope::{Instrument, StagePose};
 
 /// Of the first views all features are kept, until it is known which are fixed to the camera.
 const WHOLE: usize = 4;
@@ -24,13 +23,12 @@ impl Chain {
         &mut self,
         scope: &Instrument,
         sink: &mut dyn Sink,
-        next: &Next,
+        (next, present): (&Next, &StagePose),
     ) -> Result<(), ServoError> {
-        let present = scope.gate().position()?;
         if let Some(via) = &next.via {
-            scope.move_to(&via.request(&present))?;
+            scope.move_to(&via.request(present))?;
         }
-        let at = scope.move_to(&next.pose.request(&present))?;
+        let at = scope.move_to(&next.pose.request(present))?;
         let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
         let features = self.vision.of_view(&gray(scope, &frame)?)?;
         let index = self.taken.len();

@@ -15,7 +15,7 @@ use fixed::FixedOnSensor;
 use pair::Place;
 use scopeservo_features::Features;
 use scopeservo_registration::NotFound;
-use scopeservo_scope::{Axis, Instrument, Objective, ScopeError};
+use scopeservo_scope::{Axis, Instrument, Objective, ScopeError, StagePose};
 use serde::{Deserialize, Serialize};
 
 /// Standard deviations of what nobody has measured: backlash of x, y (m) and rotation (rad), the rotation centre, and the centres of two
@@ -92,8 +92,8 @@ impl Chain {
         if self.start.is_none() {
             self.start = Some(begins(scope)?);
         }
-        if let Some(next) = self.next(scope)? {
-            self.look(scope, sink, &next)?;
+        if let Some((next, present)) = self.next(scope)? {
+            self.look(scope, sink, (&next, &present))?;
             return Ok(Progress::Continue);
         }
         let (calibration, residual_px) = self.verdict(scope)?;
@@ -121,12 +121,13 @@ impl Chain {
         })
     }
 
-    fn next(&self, scope: &Instrument) -> Result<Option<Next>, ServoError> {
-        let present = scope.gate().position()?;
+    /// The next view, and where the stage stands before it.
+    fn next(&self, scope: &Instrument) -> Result<Option<(Next, StagePose)>, ServoError> {
         let goals = scope.gate().goals()?;
-        let allowed = |pose: &PlanarPose| goals.allow(&pose.request(&present));
+        let allowed = |pose: &PlanarPose| goals.allow(&pose.request(&goals.here));
         let known = self.known(scope);
-        Ok(known.and_then(|known| next_view(&self.options.path, &known, &allowed)))
+        let next = known.and_then(|known| next_view(&self.options.path, &known, &allowed));
+        Ok(next.map(|next| (next, goals.here)))
     }
 
     /// What the views so far say.
@@ -134,7 +135,7 @@ impl Chain {
         let info = scope.gate().info();
         let sigma = pose_sigma(info);
         let axes = [Axis::X, Axis::Y, Axis::Rz];
-        let stated = [0, 1, 2].map(|k| info.axis(axes[k]).map(|_| sigma[k].max(LEAST_SIGMA)));
+        let stated = [0, 1, 2].map(|k| info.axis(axes[k]).map(|_| sigma[k]));
         let priors = Priors {
             kinematics: info.kinematics,
             arrival: stated,
@@ -159,9 +160,6 @@ impl Chain {
         Ok(())
     }
 }
-
-/// A stage that claims to arrive to the last bit is believed so far, m or rad.
-const LEAST_SIGMA: f64 = 1e-9;
 
 /// Where the stage stands, which needs both axes of the plane.
 fn begins(scope: &Instrument) -> Result<PlanarPose, ServoError> {

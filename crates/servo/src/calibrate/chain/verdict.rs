@@ -2,9 +2,9 @@
 
 use super::Chain;
 use crate::calibrate::joint::JointFit;
+use crate::calibrate::options::too_few;
 use crate::hand_eye::pose_sigma;
 use crate::{Backlash, CALIBRATION_SCHEMA, Calibration, ServoError};
-use scopeservo_registration::NotFound;
 use scopeservo_scope::{Axis, Instrument};
 
 /// Pairs of views that contradict all others may be so many of them, at most.
@@ -20,7 +20,7 @@ impl Chain {
     pub(super) fn verdict(&self, scope: &Instrument) -> Result<(Calibration, f64), ServoError> {
         let turns = scope.gate().info().axis(Axis::Rz).is_some();
         let found = self.taken.iter().filter(|t| t.found).count();
-        let fit = self.solve(scope).filter(|_| found >= NEEDED);
+        let fit = self.whole_fit(scope).filter(|_| found >= NEEDED);
         let fit = fit.ok_or_else(|| self.too_few(found))?;
         let covariance = fit.optics_covariance(0);
         if turns && (4..6).any(|k| covariance[k][k].sqrt() > UNKNOWN_M) {
@@ -44,38 +44,30 @@ impl Chain {
             }),
             scatter: Some(fit.scatter.map(Option::unwrap_or_default)),
         };
-        self.options.plausible(&calibration, &self.objective)?;
         let m_per_px = calibration.um_per_px() * 1e-6;
         let residual_px = scatter_m(&fit, fit.scatter.map(Option::unwrap_or_default)) / m_per_px;
-        // One pixel is for what the data sheet does not name: vibration, drift, the slide's seat.
         let stated_px = scatter_m(&fit, pose_sigma(scope.gate().info())) / m_per_px;
-        let allowed_px = 1.0 + self.options.residual_factor * stated_px;
-        let [large, small] = optics.stage_from_pixel.svd().s;
-        let left_out = fit.left_out.len() as f64 > LEFT_OUT * self.pairs.len() as f64;
-        if residual_px > allowed_px || left_out || large > self.options.anisotropy * small {
-            return Err(ServoError::CalibrationInconsistent {
-                objective: self.objective.id.clone(),
-                residual_px,
-                allowed_px,
-            });
-        }
+        let contradicted = fit.left_out.len() as f64 > LEFT_OUT * self.pairs.len() as f64;
+        let seen = (residual_px, stated_px, contradicted);
+        self.options.judge(&calibration, &self.objective, seen)?;
         Ok((calibration, residual_px))
     }
 
+    /// What all views say: known already, unless the path ended on one of which it learns nothing new.
+    fn whole_fit(&self, scope: &Instrument) -> Option<JointFit> {
+        let whole = |fit: &&JointFit| fit.poses.len() == self.taken.len();
+        let known = self.fit.as_ref().filter(whole).cloned();
+        known.or_else(|| self.solve(scope))
+    }
+
     fn too_few(&self, found: usize) -> ServoError {
-        ServoError::CalibrationViews {
-            objective: self.objective.id.clone(),
-            measured: found.saturating_sub(1),
-            needed: NEEDED - 1,
-            last: self
-                .last_reason
-                .clone()
-                .unwrap_or(NotFound::TooFewFeatures {
-                    view: 0,
-                    target: 0,
-                    needed: NEEDED,
-                }),
-        }
+        let measured = found.saturating_sub(1);
+        too_few(
+            &self.objective,
+            measured,
+            NEEDED - 1,
+            self.last_reason.as_ref(),
+        )
     }
 }
 

@@ -77,33 +77,50 @@ const LEAST_SCATTER: f64 = 1e-9;
 /// # Panics
 /// Where a pair names a view that is not there.
 pub fn fit(priors: &Priors, views: &[View], pairs: &[Pair]) -> Option<JointFit> {
-    let believed = fit_from(priors, views, pairs, true)?;
+    // A stage that claims to arrive to the last bit is believed so far.
+    let priors = Priors {
+        arrival: priors
+            .arrival
+            .map(|a| a.map(|sigma| sigma.max(LEAST_SCATTER))),
+        ..*priors
+    };
+    let believed = fit_from(&priors, views, pairs, true)?;
     match believed.left_out.len() as f64 <= FEW_WRONG * pairs.len() as f64 {
         true => Some(believed),
-        false => fit_from(priors, views, pairs, false),
+        false => fit_from(&priors, views, pairs, false),
+    }
+}
+
+/// What is believed from round to round: how far all scatters, and which pairs are right.
+struct Belief {
+    priors: Priors,
+    pair_variance: f64,
+    weights: Vec<f64>,
+}
+
+impl Belief {
+    fn problem<'a>(&'a self, views: &'a [View], pairs: &'a [Pair]) -> Problem<'a> {
+        Problem {
+            priors: &self.priors,
+            views,
+            pairs,
+            weights: &self.weights,
+            pair_variance: self.pair_variance,
+        }
     }
 }
 
 fn fit_from(priors: &Priors, views: &[View], pairs: &[Pair], believed: bool) -> Option<JointFit> {
-    let mut weights = vec![1.0; pairs.len()];
-    let (mut own, mut pair_variance) = (*priors, 1.0);
-    let mut at = start(&Problem {
-        priors: &own,
-        views,
-        pairs,
-        weights: &weights,
-        pair_variance,
-    })?;
+    let mut belief = Belief {
+        priors: *priors,
+        pair_variance: 1.0,
+        weights: vec![1.0; pairs.len()],
+    };
+    let mut at = start(&belief.problem(views, pairs))?;
     // First with what a few wrong pairs hardly change; then without these.
-    for robust in [true, false] {
-        for _ in 0..ROUNDS * if robust { 1 } else { 2 } {
-            let problem = Problem {
-                priors: &own,
-                views,
-                pairs,
-                weights: &weights,
-                pair_variance,
-            };
+    for (robust, rounds) in [(true, ROUNDS), (false, 2 * ROUNDS)] {
+        for _ in 0..rounds {
+            let problem = belief.problem(views, pairs);
             let solved = Solved::of(&problem, at)?;
             let off_sq = solved.contradictions(&problem)?;
             let clean = off_sq.iter().all(|t| *t <= CONTRADICTED_SQ);
@@ -112,31 +129,25 @@ fn fit_from(priors: &Priors, views: &[View], pairs: &[Pair], believed: bool) -> 
                 true => 1.0 / (1.0 + t / HALF_WEIGHT_SQ),
                 false => f64::from(u8::from(*t <= CONTRADICTED_SQ)),
             };
-            let next: Vec<f64> = off_sq.iter().map(weight).collect();
+            let weights: Vec<f64> = off_sq.iter().map(weight).collect();
             let components = solved.components(&problem, priors, robust)?;
-            let same = next == weights;
-            let settled = components.settled(&own.arrival, pair_variance) && same;
-            at = solved.at;
+            let same = weights == belief.weights;
+            let settled = same && components.settled(&belief.priors.arrival, belief.pair_variance);
             let update = match robust {
                 true => clean || !believed,
                 false => same,
             };
             if update {
-                (own.arrival, pair_variance) = (components.arrival, components.pair_variance);
+                belief.priors.arrival = components.arrival;
+                belief.pair_variance = components.pair_variance;
             }
-            weights = next;
+            (belief.weights, at) = (weights, solved.at);
             if settled {
                 break;
             }
         }
     }
-    let problem = Problem {
-        priors: &own,
-        views,
-        pairs,
-        weights: &weights,
-        pair_variance,
-    };
+    let problem = belief.problem(views, pairs);
     Some(Solved::of(&problem, at)?.told(&problem))
 }
 

@@ -39,18 +39,9 @@ impl TwoStep {
             backlash: None,
             scatter: None,
         };
-        self.options.plausible(&calibration, &self.objective)?;
-        // One pixel is for what the data sheet does not name: vibration, drift, the slide's seat.
         let explained_px = explained_px(&reference, &calibration, info.kinematics, pose_sigma);
-        let allowed_px = 1.0 + self.options.residual_factor * explained_px;
-        let [large, small] = stage_from_pixel.svd().s;
-        if residual_px > allowed_px || large > self.options.anisotropy * small {
-            return Err(ServoError::CalibrationInconsistent {
-                objective: self.objective.id.clone(),
-                residual_px,
-                allowed_px,
-            });
-        }
+        let seen = (residual_px, explained_px, false);
+        self.options.judge(&calibration, &self.objective, seen)?;
         Ok((calibration, residual_px))
     }
 }

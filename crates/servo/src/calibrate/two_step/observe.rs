@@ -5,7 +5,7 @@ use super::procedure::{TwoStep, no_reference};
 use crate::event::tell;
 use crate::hand_eye::Observation;
 use crate::kinematics::PlanarPose;
-use crate::proof::LEAST_PX;
+use crate::proof::stays;
 use crate::vision::{centre_px, grab, gray, same_objective};
 use crate::{Event, FrameRole, ServoError, Sink};
 use scopeservo_features::Features;
@@ -25,12 +25,12 @@ impl TwoStep {
             Ok(all) => all,
             Err(reason) => return Ok(Registration::not_found(reason, 0)),
         };
-        let stays = |&[_, train]: &[usize; 2], c: &Correspondence| match moved {
-            true => f64::hypot(c.p_in_a[0] - c.p_in_b[0], c.p_in_a[1] - c.p_in_b[1]) <= LEAST_PX,
+        let on_camera = |&[_, train]: &[usize; 2], c: &Correspondence| match moved {
+            true => stays(c),
             false => self.stayed.get(&train).is_some_and(|n| *n >= STAYED),
         };
         let fixed: Vec<usize> = all
-            .those(stays)
+            .those(on_camera)
             .indices
             .iter()
             .map(|pair| pair[1])

@@ -1,6 +1,7 @@
 //! The calibration as a step machine.
 
 use super::plan::{DIRECTIONS, FIRST_ROTATION_RAD, HALVINGS, NEEDED, State};
+use crate::calibrate::options::too_few;
 use crate::event::tell;
 use crate::hand_eye::Observation;
 use crate::kinematics::PlanarPose;
@@ -60,19 +61,7 @@ impl TwoStep {
     }
 
     pub(super) fn too_few(&self, measured: usize, needed: usize) -> ServoError {
-        ServoError::CalibrationViews {
-            objective: self.objective.id.clone(),
-            measured,
-            needed,
-            last: self
-                .last_reason
-                .clone()
-                .unwrap_or(NotFound::TooFewFeatures {
-                    view: 0,
-                    target: 0,
-                    needed,
-                }),
-        }
+        too_few(&self.objective, measured, needed, self.last_reason.as_ref())
     }
 
     fn translate(
