@@ -12,8 +12,10 @@ pub(super) const TILE: usize = 256;
 /// Samples along the side of a coarser tile: level 1 halves one tile of level 0, higher ones join four of the level
 /// below. Small, because the finest samples of a coarse tile are all made, wanted or not.
 const COARSE_TILE: usize = TILE / 2;
-/// Tiles kept per specimen, bytes.
-const CACHE_BYTES: usize = 200 << 20;
+/// Tiles of level 0 kept per specimen, and tiles of the coarser levels, bytes. A coarse tile takes many fine ones to make: in one store they
+/// would push out all that is coarse.
+const FINEST_BYTES: usize = 48 << 20;
+const COARSE_BYTES: usize = 208 << 20;
 
 /// Where the samples of every level lie.
 #[derive(Clone, Copy, Debug)]
@@ -107,14 +109,16 @@ pub(super) trait Source: Sync {
 /// Tiles of all levels of one source. What is kept depends on what was asked; what is returned does not.
 #[derive(Debug)]
 pub(super) struct Pyramid {
-    tiles: Lru<(usize, i64, i64), Vec<u8>>,
+    finest: Lru<(usize, i64, i64), Vec<u8>>,
+    coarse: Lru<(usize, i64, i64), Vec<u8>>,
     blank: Arc<Vec<u8>>,
 }
 
 impl Pyramid {
     pub(super) fn new() -> Self {
         Self {
-            tiles: Lru::new(CACHE_BYTES),
+            finest: Lru::new(FINEST_BYTES),
+            coarse: Lru::new(COARSE_BYTES),
             blank: Arc::new(GLASS.repeat(TILE * TILE)),
         }
     }
@@ -160,7 +164,12 @@ impl Pyramid {
             return Ok(Arc::clone(&self.blank));
         }
         let key = (level, tx, ty);
-        if let Some(tile) = self.tiles.get(&key) {
+        let kept = if level == 0 {
+            &self.finest
+        } else {
+            &self.coarse
+        };
+        if let Some(tile) = kept.get(&key) {
             return Ok(tile);
         }
         let mut coarse = Vec::new();
@@ -183,7 +192,7 @@ impl Pyramid {
             }
         }
         let made = Arc::new(coarse);
-        self.tiles.put(key, Arc::clone(&made), made.len());
+        kept.put(key, Arc::clone(&made), made.len());
         Ok(made)
     }
 }
