@@ -119,26 +119,38 @@ impl Calibration {
         std::array::from_fn(|k| stated[k].max(seen[k]).hypot(play[k] / 12f64.sqrt()))
     }
 
-    /// Standard deviation, per coordinate, of where the view ends after one move that a picture told: the stage's scatter, and what the map
-    /// and the rotation centre are uncertain by, m. `None` where the calibration does not know its own.
+    /// Covariance, in stage axes (m^2), of where the point that a picture shows `place_px` from its centre comes to lie beside it, after the
+    /// one move that is to bring it there and turns the view by `turned_rad`: the stage's scatter at both ends, and what the map and the
+    /// rotation centre are uncertain by. `None` where the calibration does not know its own.
+    pub fn move_covariance_m2(&self, place_px: Vec2, turned_rad: f64) -> Option<Mat2> {
+        let (covariance, [x, y, turn]) = (self.covariance?, self.scatter?);
+        let [a, b] = self.rotation_centre_m.unwrap_or_default();
+        // The view goes by dM p - (R - 1) d eta, with what is off; and by J eta of a turn.
+        let (sin, cos) = turned_rad.sin_cos();
+        let jacobian = [
+            [place_px[0], place_px[1], 0.0, 0.0, 1.0 - cos, sin],
+            [0.0, 0.0, place_px[0], place_px[1], -sin, 1.0 - cos],
+        ];
+        let scatter = Mat2([[x * x, 0.0], [0.0, y * y]])
+            + Mat2([[b * b, -a * b], [-a * b, a * a]]) * (turn * turn);
+        let of = |r: usize, c: usize| -> f64 {
+            let known =
+                (0..36).map(|k| jacobian[r][k / 6] * covariance[k / 6][k % 6] * jacobian[c][k % 6]);
+            2.0 * scatter.0[r][c] + known.sum::<f64>()
+        };
+        Some(Mat2([[of(0, 0), of(0, 1)], [of(1, 0), of(1, 1)]]))
+    }
+
+    /// Standard deviation, per coordinate, of where the view ends after one move of such a length that a picture told, whatever its direction,
+    /// m; see [`Calibration::move_covariance_m2`].
     pub fn move_sigma_m(&self, moved_m: f64, turned_rad: f64) -> Option<f64> {
-        let (c, [x, y, turn]) = (self.covariance?, self.scatter?);
-        let pixel_from_stage = self.pixel_from_stage()?;
-        // A map that is off by dM sees a move of length l off by l |dM M^-1|: half of it to either coordinate.
-        let along = |k: usize| [pixel_from_stage.0[0][k], pixel_from_stage.0[1][k]];
-        let share_sq: f64 = (0..2)
-            .flat_map(|row| (0..2).map(move |k| (row, along(k))))
-            .map(|(row, [a, b])| {
-                let cell = |i: usize, j: usize| c[2 * row + i][2 * row + j];
-                a * a * cell(0, 0) + 2.0 * a * b * cell(0, 1) + b * b * cell(1, 1)
-            })
-            .sum();
-        let lever_m = self
-            .rotation_centre_m
-            .map_or(0.0, |[a, b]| f64::hypot(a, b));
-        let scatter_sq = x * x + y * y + (lever_m * turn).powi(2);
-        let centre_sq = (c[4][4] + c[5][5]) * turned_rad.powi(2);
-        Some(((scatter_sq + centre_sq + share_sq / 2.0 * moved_m.powi(2)) / 2.0).sqrt())
+        let length_px = moved_m * 1e6 / self.um_per_px();
+        let along = [[length_px, 0.0], [0.0, length_px]];
+        let variances = along.map(|place_px| {
+            let Mat2([[xx, _], [_, yy]]) = self.move_covariance_m2(place_px, turned_rad)?;
+            Some(xx + yy)
+        });
+        Some(((variances[0]? + variances[1]?) / 4.0).sqrt())
     }
 
     /// The same axes with pixels of another size, um: another camera at the same objective.
@@ -289,11 +301,18 @@ mod tests {
         }
         (c.covariance, c.scatter) = (Some(covariance), Some([1e-7, 1e-7, 0.0]));
         let near = |a: Option<f64>, b: f64| assert!((a.unwrap() / b - 1.0).abs() < 1e-9, "{a:?}");
-        near(c.move_sigma_m(0.0, 0.0), 1e-7);
-        near(c.move_sigma_m(0.0, 0.1), 1e-7f64.hypot(1e-6));
-        near(c.move_sigma_m(1e-4, 0.0), 1e-7f64.hypot(1e-6));
+        // Both ends of a move scatter.
+        let scatter_m = 2f64.sqrt() * 1e-7;
+        near(c.move_sigma_m(0.0, 0.0), scatter_m);
+        // A chord of 0.1 rad.
+        let chord = 2.0 * 0.05f64.sin();
+        near(c.move_sigma_m(0.0, 0.1), scatter_m.hypot(1e-5 * chord));
+        near(c.move_sigma_m(1e-4, 0.0), scatter_m.hypot(1e-6));
         c.scatter = Some([0.0, 0.0, 1e-6]);
-        near(c.move_sigma_m(0.0, 0.0), 0.125e-6 / 2f64.sqrt());
+        near(c.move_sigma_m(0.0, 0.0), 0.125e-6);
+        // A turn about a centre 125 mm along x moves the view along y.
+        let covariance = c.move_covariance_m2([0.0, 0.0], 0.0).unwrap();
+        assert_eq!((covariance.0[0][0], covariance.0[0][1]), (0.0, 0.0));
     }
 
     #[test]

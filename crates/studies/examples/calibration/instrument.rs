@@ -1,10 +1,10 @@
 //! The instruments of a study: the paper's, and others of every kind.
 
+use crate::specimens::Specimens;
 use scopeservo_geometry::{Mat2, SplitMix64};
 use scopeservo_scope::{Axis, CancelToken, Clock, Instrument, StagePose, VirtualClock};
 use scopeservo_servo::Calibration;
 use scopeservo_studies::rounds::Outcome;
-use scopeservo_twin::specimen::Tissue;
 use scopeservo_twin::{Config, StageConfig, Twin};
 use std::sync::Arc;
 
@@ -85,18 +85,19 @@ impl Design {
         }
     }
 
-    /// Over tissue of its own, in focus.
-    pub(crate) fn bench(&self, seed: u64) -> Outcome<Bench> {
+    /// Over one of the specimens, in focus.
+    pub(crate) fn bench(&self, seed: u64, specimens: &Specimens) -> Outcome<Bench> {
         let mut config = self.config.clone();
         let optics = config.optics[self.objective].clone();
         config.optics = vec![optics];
         let skew = config.mount.skew;
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-        let twin = Twin::new(config, Arc::new(Tissue::new(seed)), seed, clock)?;
+        let (specimen, [half_x, half_y]) = specimens.of(seed);
+        let twin = Twin::new(config, specimen, seed, clock)?;
         let scope = Instrument::new(twin.devices(), twin.rules(), CancelToken::new())?;
         let mut rng = SplitMix64::new(seed);
         let mut within = |half: f64| half * (2.0 * rng.uniform() - 1.0);
-        twin.centre_specimen([within(3000.0), within(3000.0)], within(180.0));
+        twin.centre_specimen([within(half_x), within(half_y)], within(180.0));
         let bench = Bench { twin, scope, skew };
         bench.focus()?;
         Ok(bench)

@@ -3,14 +3,16 @@
 //! `cargo run --release -p scopeservo-studies --example calibration -- table2 --rounds 50`
 //! `cargo run --release -p scopeservo-studies --example calibration -- instruments --count 400`
 //!
-//! Each round stands on other tissue. Every round is kept as a line of its own: a study that was broken off goes on. Beside the lines lies a
+//! Rounds stand on six pieces of tissue by turns, each at a place and an angle of its own, or on a slide (`--specimen`). Every round is kept as a line of its own: a study that was broken off goes on. Beside the lines lies a
 //! page with plots, and the table as CSV. Exit code 1 when a bias exceeds 3 sd / sqrt(rounds), or when truths lie outside of what is stated.
 
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
+mod arrival;
 mod instrument;
 mod page;
 mod record;
+mod specimens;
 mod table;
 
 use clap::{Parser, Subcommand, ValueEnum};
@@ -18,6 +20,7 @@ use instrument::Design;
 use record::{Record, calibrated};
 use scopeservo_servo::CalibrationMethod;
 use scopeservo_studies::rounds::{Outcome, rounds, threads};
+use specimens::Specimens;
 use std::path::PathBuf;
 
 /// Calibrations of simulated instruments against their hidden truth.
@@ -46,6 +49,12 @@ enum Study {
         /// Only this objective: 10x, 20x or 40x.
         #[arg(long, value_parser = ["10x", "20x", "40x"])]
         objective: Option<String>,
+        /// Over this slide instead of procedural tissue.
+        #[arg(long)]
+        specimen: Option<PathBuf>,
+        /// Size of the slide's pixels, where the file does not say it, um.
+        #[arg(long)]
+        um_per_px: Option<f64>,
     },
     /// Any mounting, stage, play and scatter.
     Instruments {
@@ -73,7 +82,9 @@ fn main() -> Outcome<()> {
     };
     type Designer = fn(u64) -> Design;
     let (name, numbers, design): (&str, Vec<u64>, Designer) = match &args.study {
-        Study::Table2 { rounds, objective } => {
+        Study::Table2 {
+            rounds, objective, ..
+        } => {
             let of = |k: &u64| {
                 objective
                     .as_ref()
@@ -84,13 +95,21 @@ fn main() -> Outcome<()> {
         }
         Study::Instruments { count } => ("instruments", (0..*count).collect(), Design::any),
     };
+    let specimens = match &args.study {
+        Study::Table2 {
+            specimen: Some(path),
+            um_per_px,
+            ..
+        } => Specimens::slide(path, *um_per_px)?,
+        _ => Specimens::tissue(),
+    };
     let path = args.out.join(format!("{name}-{method_name}.jsonl"));
     let records = rounds(
         &path,
         &numbers,
         threads,
         |r: &Record| r.index,
-        |k| calibrated(k, &design(k), method),
+        |k| calibrated(k, &design(k), method, &specimens),
     )?;
     let failed = match args.study {
         Study::Table2 { .. } => table::of_paper(&records),

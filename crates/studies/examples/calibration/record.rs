@@ -1,6 +1,8 @@
 //! One calibration, against the truth.
 
+use crate::arrival::arrivals;
 use crate::instrument::{Bench, Design};
+use crate::specimens::Specimens;
 use scopeservo_geometry::Cholesky;
 use scopeservo_scope::Frame;
 use scopeservo_servo::{
@@ -30,6 +32,10 @@ pub(crate) struct Record {
     pub(crate) covariance: Vec<f64>,
     /// Backlash of x and y less the truth, and its standard deviations, um.
     pub(crate) backlash_off_um: Option<[[f64; 2]; 2]>,
+    /// Of single moves with this calibration: how far beside the wanted place they ended along x and y, um, and the covariance that was
+    /// expected, xx, xy, yy, um^2.
+    #[serde(default)]
+    pub(crate) arrivals_um: Vec<[f64; 5]>,
     pub(crate) views: usize,
     pub(crate) moves: u64,
     /// On the instrument's clock, and of computing, simulation included.
@@ -52,8 +58,9 @@ pub(crate) fn calibrated(
     index: u64,
     design: &Design,
     method: CalibrationMethod,
+    specimens: &Specimens,
 ) -> Outcome<Record> {
-    let bench = design.bench(index)?;
+    let bench = design.bench(index, specimens)?;
     let objective = bench.scope.gate().objectives()[0].clone();
     let options = CalibrateOptions {
         method,
@@ -78,13 +85,17 @@ pub(crate) fn calibrated(
         off: Vec::new(),
         covariance: Vec::new(),
         backlash_off_um: None,
+        arrivals_um: Vec::new(),
         views: views.0,
         moves: bench.scope.counters().moves - before.1,
         instrument_s: bench.scope.clock().now().seconds() - before.0,
         computing_s: began.elapsed().as_secs_f64(),
     };
     match made {
-        Ok(made) => record.fill(&bench, design, &made)?,
+        Ok(made) => {
+            record.fill(&bench, design, &made)?;
+            record.arrivals_um = arrivals(&bench, &made, index)?;
+        }
         Err(why) => record.refused = Some(why.to_string()),
     }
     Ok(record)

@@ -90,9 +90,9 @@ fn within(records: &[Record]) -> bool {
         groups.entry("all".into()).or_default().push(r);
     }
     println!(
-        "| group | rounds | calibrated | 95 % hold the map | the centre | all jointly | the play | mean pulls | views | moves | on the instrument s | computing s |"
+        "| group | rounds | calibrated | 95 % hold the map | the centre | all jointly | the play | arrivals | mean pulls | views | moves | on the instrument s | computing s |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mut failed = false;
     for (name, all) in &groups {
         let made: Vec<&&Record> = all.iter().filter(|r| r.refused.is_none()).collect();
@@ -116,6 +116,11 @@ fn within(records: &[Record]) -> bool {
             .filter_map(|r| r.backlash_off_um)
             .flat_map(|[off, sigma]| [off[0] / sigma[0], off[1] / sigma[1]])
             .collect();
+        let arrivals: Vec<f64> = made
+            .iter()
+            .flat_map(|r| &r.arrivals_um)
+            .flat_map(|[x, y, xx, _, yy]| [x / xx.sqrt(), y / yy.sqrt()])
+            .collect();
         let (map, centre) = (pulls(0..4), pulls(4..6));
         let bias = |k: usize| {
             let of = pulls(k..k + 1);
@@ -124,13 +129,14 @@ fn within(records: &[Record]) -> bool {
         let biases: Vec<f64> = (0..6).map(bias).collect();
         failed |= name == "all" && biases.iter().any(|b| b.abs() > 3.5);
         println!(
-            "| {name} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {} | {} | {} | {:.1} | {:.1} |",
+            "| {name} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {} | {} | {} | {:.1} | {:.1} |",
             all.len(),
             made.len(),
             share(&map),
             share(&centre),
             100.0 * mean(jointly),
             share(&play),
+            share(&arrivals),
             biases
                 .iter()
                 .map(|b| format!("{b:.1}"))
