@@ -1,5 +1,6 @@
 //! Transforms from correspondences: minimal and least squares, with the covariance of the result.
 
+use crate::jackknife::{Equation, blocks, changes, covariance};
 use crate::{Affine2, Mat2, Similarity, Vec2, cholesky_inverse};
 use serde::{Deserialize, Serialize};
 
@@ -21,9 +22,16 @@ pub struct AffineFit {
     pub b_from_a: Affine2,
     /// Covariance of (a11, a12, b1, a21, a22, b2), the rows of the 2x3 matrix one after the other.
     pub covariance: [[f64; 6]; 6],
-    /// Root of the weighted mean square residual per coordinate, divided by the degrees of freedom left: 1 when the
-    /// given sigmas are true.
-    pub sigma_factor: f64,
+}
+
+/// What the residuals of single correspondences do not tell of their errors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SharedErrors {
+    /// Side, in a, of the squares within which correspondences may share their errors. Smaller where there would be few squares.
+    pub block: f64,
+    /// Standard deviation, in b, of what all of them may be off by. It also turns and stretches the transform as far, at their
+    /// distance from the middle.
+    pub systematic: f64,
 }
 
 impl AffineFit {
@@ -121,8 +129,8 @@ fn centroids(points: impl Iterator<Item = (Vec2, Vec2, f64)>) -> (Vec2, Vec2, f6
 pub(crate) struct Solution {
     pub(crate) b_from_a: Affine2,
     mean_a: Vec2,
-    /// Inverse of the normal matrix about `mean_a`.
-    inverse: [[f64; 3]; 3],
+    /// Weighted mean of the squared distance from `mean_a`.
+    spread: f64,
 }
 
 /// Least squares affine over `(p_in_a, p_in_b, weight)`. `None` when the points lie on a line.
@@ -155,68 +163,69 @@ pub(crate) fn solve(points: impl Iterator<Item = (Vec2, Vec2, f64)> + Clone) -> 
     Some(Solution {
         b_from_a: centred.recentred([-mean_a[0], -mean_a[1]], [-mean_b[0], -mean_b[1]]),
         mean_a,
-        inverse: [[i00, i01, 0.0], [i10, i11, 0.0], [0.0, 0.0, 1.0 / total]],
+        spread: (xx + yy) / total,
     })
 }
 
 /// Least squares affine over `c`, each equation weighted by `robust_weight / sigma^2`.
 ///
-/// The covariance is that of the weighted fit with the residual scale found; robust weights enter through the usual
-/// sandwich. `None` with fewer than three correspondences or when they lie on a line.
-pub fn fit_affine(c: &[Correspondence], robust_weights: &[f64]) -> Option<AffineFit> {
+/// The robust weights are those of the Cauchy function, whose slope is their square, or 1. `None` when the correspondences, or those
+/// that are left without one block, lie on a line.
+pub fn fit_affine(
+    c: &[Correspondence],
+    robust_weights: &[f64],
+    shared: &SharedErrors,
+) -> Option<AffineFit> {
     assert_eq!(c.len(), robust_weights.len());
-    if c.len() < 3 {
-        return None;
-    }
-    let weights: Vec<f64> = c
-        .iter()
-        .zip(robust_weights)
-        .map(|(c, r)| r / (c.sigma * c.sigma))
-        .collect();
+    let weights = combined(c, robust_weights);
     let Solution {
         b_from_a,
         mean_a,
-        inverse,
+        spread,
     } = solve(weighted(c, &weights))?;
-    let row = |p: Vec2| [p[0] - mean_a[0], p[1] - mean_a[1], 1.0];
-
-    // Sandwich: inverse * (sum w^2 r^2 x x^T) * inverse, with one residual scale for all in units of sigma.
-    let (mut residuals, mut meat) = (0.0, [[0.0; 3]; 3]);
-    for ((c, &w), &robust) in c.iter().zip(&weights).zip(robust_weights) {
-        residuals += w * distance_sq(b_from_a.apply(c.p_in_a), c.p_in_b);
-        let x = row(c.p_in_a);
-        for i in 0..3 {
-            for j in 0..3 {
-                meat[i][j] += w * robust * x[i] * x[j];
-            }
+    let (block_of, count) = blocks(c.iter().map(|c| c.p_in_a), shared.block);
+    let equations = (0..c.len()).map(|i| {
+        let p = c[i].p_in_a;
+        Equation {
+            block: block_of[i],
+            row: [p[0] - mean_a[0], p[1] - mean_a[1], 1.0],
+            slope: weights[i] * robust_weights[i],
+            pull: residual(&b_from_a, &c[i]).map(|r| weights[i] * r),
         }
-    }
-    let effective: f64 = robust_weights.iter().sum();
-    let freedom = (2.0 * effective - 6.0).max(0.5);
-    let variance = residuals / freedom;
-    let block = sandwich(&inverse, &meat, variance);
-    let block = congruence(&from_centred(mean_a), &block);
-    let mut covariance = [[0.0; 6]; 6];
-    for i in 0..3 {
-        for j in 0..3 {
-            covariance[i][j] = block[i][j];
-            covariance[i + 3][j + 3] = block[i][j];
-        }
-    }
+    });
+    let changes = changes(equations, count)?;
+    let deviations = jackknife(&changes, 1.0).chain(common(shared, spread));
     Some(AffineFit {
         b_from_a,
-        covariance,
-        sigma_factor: variance.sqrt(),
+        covariance: covariance(deviations, mean_a),
     })
 }
 
-/// From a row's parameters in centred coordinates (x - mean_a) back to plain ones: b = b_centred - a . mean_a.
-fn from_centred(mean_a: Vec2) -> [[f64; 3]; 3] {
+/// Deviations whose covariance is `more` times that of the changes.
+fn jackknife(changes: &[[[f64; 3]; 2]], more: f64) -> impl Iterator<Item = [[f64; 3]; 2]> {
+    let count = changes.len() as f64;
+    let factor = ((count - 1.0) / count * more).sqrt();
+    let scaled = move |c: &[[f64; 3]; 2]| c.map(|row| row.map(|v| factor * v));
+    changes.iter().map(scaled)
+}
+
+/// Deviations that no residual shows, about the middle: a shift, a turn and a scale. `spread` is the mean squared distance from it.
+fn common(shared: &SharedErrors, spread: f64) -> impl Iterator<Item = [[f64; 3]; 2]> + use<> {
+    let shift = shared.systematic;
+    let turn = shift / spread.sqrt();
     [
-        [1.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0],
-        [-mean_a[0], -mean_a[1], 1.0],
+        [[0.0, 0.0, shift], [0.0; 3]],
+        [[0.0; 3], [0.0, 0.0, shift]],
+        [[turn, 0.0, 0.0], [0.0, turn, 0.0]],
+        [[0.0, -turn, 0.0], [turn, 0.0, 0.0]],
     ]
+    .into_iter()
+}
+
+/// Robust weights over the variances given.
+fn combined(c: &[Correspondence], robust: &[f64]) -> Vec<f64> {
+    let of = |(c, r): (&Correspondence, &f64)| r / (c.sigma * c.sigma);
+    c.iter().zip(robust).map(of).collect()
 }
 
 fn weighted(
@@ -234,69 +243,73 @@ const RAYLEIGH_MEDIAN: f64 = 1.1774;
 const CAUCHY_WIDTH: f64 = 2.4;
 
 /// Iteratively reweighted least squares with Cauchy weights; the scale is the median residual, taken anew each time.
-pub fn fit_affine_robust(c: &[Correspondence]) -> Option<AffineFit> {
+pub fn fit_affine_robust(c: &[Correspondence], shared: &SharedErrors) -> Option<AffineFit> {
     let weights = robust_weights(c, 3, |weights| Some(solve(weighted(c, weights))?.b_from_a))?;
-    fit_affine(c, &weights)
+    fit_affine(c, &weights, shared)
 }
 
 /// The same for a similarity: for few correspondences, which an affine transform would follow into their errors.
 ///
 /// The covariance is that of the affine transform which it stands for: the two parameters that a similarity lacks have a standard
-/// deviation of `anisotropy`, relative to the scale. With few degrees of freedom the residuals tell the scale of the errors badly:
-/// the variance is that of Student's distribution. `None` with fewer than four correspondences, for which it has none.
-pub fn fit_similarity_robust(c: &[Correspondence], anisotropy: f64) -> Option<AffineFit> {
+/// deviation of `anisotropy`, relative to the scale. `None` with fewer than four correspondences, for which it has none.
+pub fn fit_similarity_robust(
+    c: &[Correspondence],
+    anisotropy: f64,
+    shared: &SharedErrors,
+) -> Option<AffineFit> {
+    let (robust, weights, solution) = solve_similarity_robust(c)?;
+    let (b_from_a, mean_a) = (solution.b_from_a, solution.mean_a);
+    let (block_of, count) = blocks(c.iter().map(|c| c.p_in_a), shared.block);
+    // The unknowns are (a11, a21, b1, b2).
+    let equations = (0..c.len()).flat_map(|i| {
+        let [x, y] = [0, 1].map(|k| c[i].p_in_a[k] - mean_a[k]);
+        let off = residual(&b_from_a, &c[i]);
+        [([x, -y, 1.0, 0.0], off[0]), ([y, x, 0.0, 1.0], off[1])].map(|(row, off)| Equation {
+            block: block_of[i],
+            row,
+            slope: weights[i] * robust[i],
+            pull: [weights[i] * off],
+        })
+    });
+    let changes: Vec<_> = changes(equations, count)?
+        .into_iter()
+        .map(|[[a11, a21, b1, b2]]| [[a11, -a21, b1], [a21, a11, b2]])
+        .collect();
+    let shape = anisotropy * b_from_a.linear.det().abs().sqrt();
+    let lacking = [
+        [[shape, 0.0, 0.0], [0.0, -shape, 0.0]],
+        [[0.0, shape, 0.0], [shape, 0.0, 0.0]],
+    ];
+    // Few blocks tell a variance badly: it is that of Student's distribution. An affine transform follows few places so far that
+    // leaving one out changes it by more than its error, which makes up for that.
+    let freedom = 2.0 * changes.len() as f64 - 4.0;
+    let student = freedom / (freedom - 2.0).max(1.0);
+    let deviations = jackknife(&changes, student)
+        .chain(lacking)
+        .chain(common(shared, solution.spread));
+    Some(AffineFit {
+        b_from_a,
+        covariance: covariance(deviations, mean_a),
+    })
+}
+
+/// The transform of [`fit_similarity_robust`], for those who ask for no covariance.
+pub fn similarity_robust(c: &[Correspondence]) -> Option<Affine2> {
+    Some(solve_similarity_robust(c)?.2.b_from_a)
+}
+
+/// Robust weights, the same over the variances given, and the similarity that they make.
+fn solve_similarity_robust(
+    c: &[Correspondence],
+) -> Option<(Vec<f64>, Vec<f64>, SimilaritySolution)> {
     if c.len() < 4 {
         return None;
     }
     let similar = |weights: &[f64]| Some(solve_similarity(weighted(c, weights))?.b_from_a);
     let robust = robust_weights(c, 2, similar)?;
-    let weights: Vec<f64> = robust
-        .iter()
-        .zip(c)
-        .map(|(r, c)| r / (c.sigma * c.sigma))
-        .collect();
-    let SimilaritySolution {
-        b_from_a,
-        mean_a,
-        spread,
-        total,
-        ..
-    } = solve_similarity(weighted(c, &weights))?;
-    // As in `fit_affine`; the normal matrix of (a, b, b1, b2) about the centroid is diagonal.
-    let (mut residuals, mut spread_meat, mut total_meat) = (0.0, 0.0, 0.0);
-    for ((c, w), robust) in c.iter().zip(&weights).zip(&robust) {
-        residuals += w * distance_sq(b_from_a.apply(c.p_in_a), c.p_in_b);
-        spread_meat += w * robust * distance_sq(c.p_in_a, mean_a);
-        total_meat += w * robust;
-    }
-    let freedom = 2.0 * robust.iter().sum::<f64>() - 4.0;
-    let variance = residuals / (freedom - 2.0).max(0.5);
-    let shape = (anisotropy * b_from_a.linear.det().abs().sqrt()).powi(2);
-    let turn = variance * spread_meat / (spread * spread);
-    let place = variance * total_meat / (total * total);
-    // Of (a11, a12, b1) with itself, as of (a21, a22, b2); then of the one with the other.
-    let same = [
-        [turn + shape, 0.0, 0.0],
-        [0.0, turn + shape, 0.0],
-        [0.0, 0.0, place],
-    ];
-    let across = [[0.0, turn - shape, 0.0], [shape - turn, 0.0, 0.0], [0.0; 3]];
-    let shift = from_centred(mean_a);
-    let [same, across] = [same, across].map(|block| congruence(&shift, &block));
-    let mut covariance = [[0.0; 6]; 6];
-    for i in 0..3 {
-        for j in 0..3 {
-            covariance[i][j] = same[i][j];
-            covariance[i + 3][j + 3] = same[i][j];
-            covariance[i][j + 3] = across[i][j];
-            covariance[j + 3][i] = across[i][j];
-        }
-    }
-    Some(AffineFit {
-        b_from_a,
-        covariance,
-        sigma_factor: variance.sqrt(),
-    })
+    let weights = combined(c, &robust);
+    let solution = solve_similarity(weighted(c, &weights))?;
+    Some((robust, weights, solution))
 }
 
 /// Cauchy weights of a fit that `sample` correspondences determine. `fit` makes it from certainties times weights.
@@ -335,29 +348,17 @@ fn distance_sq(p: Vec2, q: Vec2) -> f64 {
     d[0] * d[0] + d[1] * d[1]
 }
 
-fn dot3(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn sandwich(bread: &[[f64; 3]; 3], meat: &[[f64; 3]; 3], variance: f64) -> [[f64; 3]; 3] {
-    congruence(bread, meat).map(|row| row.map(|v| v * variance))
-}
-
-/// `l * m * l^T`.
-fn congruence(l: &[[f64; 3]; 3], m: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
-    let lm: [[f64; 3]; 3] =
-        std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| l[i][k] * m[k][j]).sum()));
-    std::array::from_fn(|i| std::array::from_fn(|j| dot3(&lm[i], &l[j])))
+fn residual(b_from_a: &Affine2, c: &Correspondence) -> Vec2 {
+    let there = b_from_a.apply(c.p_in_a);
+    [c.p_in_b[0] - there[0], c.p_in_b[1] - there[1]]
 }
 
 pub(crate) struct SimilaritySolution {
     pub(crate) b_from_a: Affine2,
     similarity: Similarity,
     mean_a: Vec2,
-    /// Weighted sum of squared distances from `mean_a`.
+    /// Weighted mean of the squared distance from `mean_a`.
     spread: f64,
-    /// Sum of weights.
-    total: f64,
 }
 
 /// Least squares similarity over `(p_in_a, p_in_b, weight)` (Umeyama 1991, in the plane closed form). `None` without two distinct
@@ -390,8 +391,7 @@ pub(crate) fn solve_similarity(
         b_from_a: similarity.into(),
         similarity,
         mean_a,
-        spread,
-        total,
+        spread: spread / total,
     })
 }
 
@@ -407,6 +407,12 @@ mod tests {
     use crate::SplitMix64;
 
     const TRUTH: [[f64; 3]; 2] = [[4.2, -0.4, 31.0], [0.5, 4.1, -12.0]];
+
+    /// Each correspondence for itself.
+    const ALONE: SharedErrors = SharedErrors {
+        block: 1.0,
+        systematic: 0.0,
+    };
 
     fn noisy(rng: &mut SplitMix64, n: usize, sigma: f64) -> Vec<Correspondence> {
         let truth = Affine2::from(TRUTH);
@@ -437,9 +443,9 @@ mod tests {
     fn zero_residual_at_the_truth() {
         let mut rng = SplitMix64::new(3);
         let c = noisy(&mut rng, 12, 0.0);
-        let fit = fit_affine(&c, &[1.0; 12]).unwrap();
+        let fit = fit_affine(&c, &[1.0; 12], &ALONE).unwrap();
         assert!(distance(fit.b_from_a, TRUTH.into()) < 1e-9);
-        assert!(fit.sigma_factor < 1e-9);
+        assert!(fit.sigma_at([0.0, 0.0]) < 1e-9);
         let three = affine_from_3(&[c[0], c[1], c[2]]).unwrap();
         assert!(distance(three, TRUTH.into()) < 1e-8);
     }
@@ -448,18 +454,18 @@ mod tests {
     fn outliers_hardly_move_the_robust_fit() {
         let mut rng = SplitMix64::new(4);
         let mut c = noisy(&mut rng, 200, 0.3);
-        let clean = fit_affine_robust(&c).unwrap().b_from_a;
+        let clean = fit_affine_robust(&c, &ALONE).unwrap().b_from_a;
         for c in &mut c[..30] {
             c.p_in_b[0] += 15.0;
         }
-        let plain = fit_affine(&c, &[1.0; 200]).unwrap().b_from_a;
-        let robust = fit_affine_robust(&c).unwrap().b_from_a;
+        let plain = fit_affine(&c, &[1.0; 200], &ALONE).unwrap().b_from_a;
+        let robust = fit_affine_robust(&c, &ALONE).unwrap().b_from_a;
         assert!(distance(plain, clean) > 1.5 && distance(robust, clean) < 0.1);
         let exact = noisy(&mut rng, 12, 0.0);
-        let fit = fit_affine_robust(&exact).unwrap();
+        let fit = fit_affine_robust(&exact, &ALONE).unwrap();
         assert!(distance(fit.b_from_a, TRUTH.into()) < 1e-9);
-        assert_eq!(fit_affine_robust(&exact[..2]), None);
-        assert_eq!(fit_affine_robust(&[]), None);
+        assert_eq!(fit_affine_robust(&exact[..2], &ALONE), None);
+        assert_eq!(fit_affine_robust(&[], &ALONE), None);
     }
 
     #[test]
@@ -468,8 +474,9 @@ mod tests {
         let mut rng = SplitMix64::new(11);
         for _ in 0..200 {
             let c = noisy(&mut rng, 4, 0.5);
-            let fit = fit_affine_robust(&c).unwrap();
-            assert!(fit.sigma_factor > 1e-3, "{}", fit.sigma_factor);
+            let fit = fit_affine_robust(&c, &ALONE).unwrap();
+            let sigma = fit.sigma_at(c[0].p_in_a);
+            assert!(sigma > 1e-3, "{sigma}");
         }
     }
 
@@ -496,7 +503,7 @@ mod tests {
                         }
                     })
                     .collect();
-                let fit = fit_similarity_robust(&c, 0.0).unwrap();
+                let fit = fit_similarity_robust(&c, 0.0, &ALONE).unwrap();
                 let (p, q) = (fit.b_from_a.apply(at), truth.apply(at));
                 let off = f64::hypot(p[0] - q[0], p[1] - q[1]);
                 far += usize::from(off > 3.0 * fit.sigma_at(at));
@@ -505,7 +512,7 @@ mod tests {
             assert!(far * 100 < 4 * draws, "{n}: {far} of {draws}");
         }
         let four = noisy(&mut rng, 4, 0.1);
-        assert_eq!(fit_similarity_robust(&four[..3], 0.0), None);
+        assert_eq!(fit_similarity_robust(&four[..3], 0.0, &ALONE), None);
         // What a similarity lacks counts by `anisotropy`: at 100 px from the centroid 0.01 is 1 px per unit of scale.
         let exact: Vec<Correspondence> = [[-9.0, 0.0], [9.0, 0.0], [0.0, 9.0], [0.0, -9.0]]
             .into_iter()
@@ -515,9 +522,43 @@ mod tests {
                 sigma: 1.0,
             })
             .collect();
-        let fit = fit_similarity_robust(&exact, 0.01).unwrap();
+        let fit = fit_similarity_robust(&exact, 0.01, &ALONE).unwrap();
         assert!((fit.sigma_at([100.0, 0.0]) - 3.0).abs() < 1e-6);
         assert!((fit.sigma_at([60.0, 80.0]) - 3.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_scatter_of_robust_fits_is_the_stated_one_for_few_points_and_many() {
+        let mut rng = SplitMix64::new(13);
+        let truth = Affine2::from(Similarity {
+            scale: 3.0,
+            angle_rad: 0.8,
+            offset: [5.0, -7.0],
+        });
+        let (draws, at) = (1000, [100.0, 50.0]);
+        for n in [6, 10, 20, 80] {
+            let mut pulls_sq = [0.0; 2];
+            for _ in 0..draws {
+                let mut c = noisy(&mut rng, n, 0.0);
+                for c in &mut c {
+                    // Not all as well placed, and not as told.
+                    let sigma = 0.7 * (0.5 * rng.normal()).exp();
+                    c.p_in_b = truth.apply(c.p_in_a).map(|v| v + sigma * rng.normal());
+                }
+                let fits = [
+                    fit_affine_robust(&c, &ALONE).unwrap(),
+                    fit_similarity_robust(&c, 0.0, &ALONE).unwrap(),
+                ];
+                for (pull_sq, fit) in pulls_sq.iter_mut().zip(fits) {
+                    let (p, q) = (fit.b_from_a.apply(at), truth.apply(at));
+                    let off = f64::hypot(p[0] - q[0], p[1] - q[1]);
+                    *pull_sq += (off / fit.sigma_at(at)).powi(2) / 2.0;
+                }
+            }
+            for pull in pulls_sq.map(|s| (s / f64::from(draws)).sqrt()) {
+                assert!((0.75..1.15).contains(&pull), "{n}: {pull}");
+            }
+        }
     }
 
     #[test]
@@ -529,7 +570,7 @@ mod tests {
         };
         let c = [on_line(0.0), on_line(1.0), on_line(5.0)];
         assert_eq!(affine_from_3(&c), None);
-        assert_eq!(fit_affine(&c, &[1.0; 3]), None);
+        assert_eq!(fit_affine(&c, &[1.0; 3], &ALONE), None);
     }
 
     #[test]
@@ -546,7 +587,7 @@ mod tests {
                 c.p_in_b[0] += sigma * rng.normal();
                 c.p_in_b[1] += sigma * rng.normal();
             }
-            let fit = fit_affine(&c, &vec![1.0; n]).unwrap();
+            let fit = fit_affine(&c, &vec![1.0; n], &ALONE).unwrap();
             let p = fit.b_from_a.apply(at);
             sum_sq += (p[0] - target[0]).powi(2) + (p[1] - target[1]).powi(2);
             predicted += 2.0 * fit.sigma_at(at).powi(2);

@@ -17,6 +17,7 @@
 mod affine;
 mod dense;
 mod fit;
+mod jackknife;
 mod mat2;
 mod ransac;
 mod rng;
@@ -25,8 +26,8 @@ mod solve;
 pub use affine::{Affine2, Similarity};
 pub use dense::Cholesky;
 pub use fit::{
-    AffineFit, Correspondence, affine_from_3, fit_affine, fit_affine_robust, fit_similarity,
-    fit_similarity_robust, similarity_from_oriented,
+    AffineFit, Correspondence, SharedErrors, affine_from_3, fit_affine, fit_affine_robust,
+    fit_similarity, fit_similarity_robust, similarity_from_oriented, similarity_robust,
 };
 pub use mat2::{Mat2, Svd2};
 pub use ransac::{AffineProblem, OrientedProblem, Problem, RansacOptions, RobustFit, lo_ransac};

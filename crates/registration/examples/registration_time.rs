@@ -7,8 +7,8 @@
 
 use scopeservo_features::{Descriptors, Engine, Features, Keypoint};
 use scopeservo_geometry::{
-    Affine2, Correspondence, OrientedProblem, RansacOptions, Similarity, SplitMix64, fit_affine,
-    fit_affine_robust, lo_ransac,
+    Affine2, Correspondence, OrientedProblem, RansacOptions, SharedErrors, Similarity, SplitMix64,
+    fit_affine, fit_affine_robust, lo_ransac,
 };
 use scopeservo_registration::significance::{
     AFFINE_SAMPLE, SIMILARITY_SAMPLE, log10_nfa, occupied_area, unique_places,
@@ -129,9 +129,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             });
             let search = search.ok_or("nothing was found")?;
             let chosen: Vec<Correspondence> = search.inliers.iter().map(|&i| pairs[i]).collect();
-            let (fit_us, _) = best(|| fit_affine_robust(&chosen));
+            let shared = SharedErrors {
+                block: 30.0,
+                systematic: 0.0,
+            };
+            let (fit_us, _) = best(|| fit_affine_robust(&chosen, &shared));
             let ones = vec![1.0; chosen.len()];
-            let (covariance_us, _) = best(|| fit_affine(&chosen, &ones));
+            let (covariance_us, _) = best(|| fit_affine(&chosen, &ones, &shared));
             let points: Vec<_> = pairs.iter().map(|c| (c.p_in_a, c.p_in_b)).collect();
             let (places_us, _) = best(|| unique_places(&points, 2.0, 2.2));
             let at = |k: &Keypoint| [f64::from(k.x), f64::from(k.y)];

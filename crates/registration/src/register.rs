@@ -6,10 +6,18 @@ use crate::search::{ANISOTROPY, Search, Shape};
 use crate::significance::{AFFINE_SAMPLE, SIMILARITY_SAMPLE, log10_nfa, unique_places};
 use crate::{Estimate, NotFound, Options, Prior, Registration};
 use scopeservo_features::{FeatureEngine, Features};
-use scopeservo_geometry::{Affine2, AffineFit, Correspondence, Vec2, fit_similarity_robust};
+use scopeservo_geometry::{
+    Affine2, AffineFit, Correspondence, SharedErrors, Vec2, fit_similarity_robust,
+};
 
 /// Places closer than this, in pixels of each image times its keypoints' finest scale, are one place.
 const PLACE_PX: f64 = 2.0;
+/// Side of the squares within which errors may be shared, in sigmas of the keypoints: two windows of a descriptor. What lies nearer
+/// together than one window sees the same pixels.
+const SHARED_SIGMAS: f64 = 24.0;
+/// What all places of an image may be off by, in pixels of the coarser image: no residual shows it. Less than was ever measured, so that
+/// nothing is known for sure.
+const SYSTEMATIC_PX: f64 = 0.0005;
 
 /// Matches and registers a view to a target.
 ///
@@ -49,6 +57,10 @@ pub fn register_correspondences(
         prior,
         options,
         threshold,
+        shared: SharedErrors {
+            block: SHARED_SIGMAS * median(all.shapes.iter().map(|shapes| shapes[0])),
+            systematic: SYSTEMATIC_PX * coarse_px,
+        },
     };
     // Places near a line leave an affine transform open, and a similarity not.
     let by_affine = search.fitted(Shape::Affine);
@@ -73,12 +85,14 @@ pub fn register_correspondences(
         agreeing: places[..within(threshold)].iter().map(|p| p.1).collect(),
         fit,
     };
-    let limit = options.false_alarms.log10();
-    if best.log10_nfa >= limit && sample == AFFINE_SAMPLE {
+    let passes =
+        |a: &Agreement| a.is_significant(options) && a.uncertain(all, options, coarse_px).is_none();
+    if !passes(&best) && sample == AFFINE_SAMPLE {
         // Too few places for an affine transform may be enough for a similarity, and then that is the answer.
-        let similar = similar(all, &places, &best.agreeing, &test);
+        let similar = similar(&search, &places, &best.agreeing, &test);
         best = similar
-            .filter(|s| prior.allows(&s.fit.b_from_a) && s.log10_nfa < best.log10_nfa)
+            .filter(|s| prior.allows(&s.fit.b_from_a))
+            .filter(|s| s.log10_nfa < best.log10_nfa || passes(s))
             .unwrap_or(best);
     }
     best.agreeing.sort_unstable();
@@ -87,10 +101,14 @@ pub fn register_correspondences(
 
 /// Target over view of the keypoints' sizes, in the median.
 fn median_ratio(all: &Correspondences) -> f64 {
-    let ratio = |[view, target, ..]: &[f64; 4]| target / view;
-    let mut ratios: Vec<f64> = all.shapes.iter().map(ratio).collect();
-    let middle = ratios.len() / 2;
-    *ratios.select_nth_unstable_by(middle, f64::total_cmp).1
+    median(all.shapes.iter().map(|[view, target, ..]| target / view))
+}
+
+/// Of at least one value.
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// A transform and those that agree with it.
@@ -99,6 +117,27 @@ struct Agreement {
     agreeing: Vec<usize>,
     /// The expected number of agreements as good between unrelated images.
     log10_nfa: f64,
+}
+
+impl Agreement {
+    fn is_significant(&self, options: &Options) -> bool {
+        self.log10_nfa < options.false_alarms.log10()
+    }
+
+    /// The standard deviation of the worst corner of the view, target pixels.
+    fn corner_sigma_px(&self, all: &Correspondences) -> f64 {
+        corners(all.view_size)
+            .into_iter()
+            .map(|p| self.fit.sigma_at(p))
+            .fold(0.0, f64::max)
+    }
+
+    /// The same when it is more than is allowed.
+    fn uncertain(&self, all: &Correspondences, options: &Options, coarse_px: f64) -> Option<f64> {
+        let sigma_px = self.corner_sigma_px(all);
+        let allowed = sigma_px <= options.max_corner_sigma_px * coarse_px;
+        (!allowed).then_some(sigma_px)
+    }
 }
 
 /// What chance could do.
@@ -146,13 +185,14 @@ fn places(
 
 /// The robust similarity through the matches that `agree`.
 fn similar(
-    all: &Correspondences,
+    search: &Search<'_>,
     places: &[(f64, usize)],
     agree: &[usize],
     test: &Significance<'_>,
 ) -> Option<Agreement> {
+    let all = search.all;
     let chosen: Vec<Correspondence> = agree.iter().map(|&i| all.pairs[i]).collect();
-    let fit = fit_similarity_robust(&chosen, ANISOTROPY)?;
+    let fit = fit_similarity_robust(&chosen, ANISOTROPY, &search.shared)?;
     let residuals = ranked(&fit.b_from_a, all, places.iter().map(|place| place.1));
     let within = |r: f64| residuals.partition_point(|place| place.0 <= r);
     let near = &residuals[..within(test.threshold)];
@@ -198,25 +238,20 @@ fn answer(
 ) -> Registration {
     let fit = &best.fit;
     let log10_nfa = best.log10_nfa.is_finite().then_some(best.log10_nfa);
-    let corner_sigma_px = corners(all.view_size)
-        .into_iter()
-        .map(|p| fit.sigma_at(p))
-        .fold(0.0, f64::max);
-    let outcome = if best.log10_nfa >= options.false_alarms.log10() {
+    let outcome = if !best.is_significant(options) {
         Err(NotFound::ByChance {
             inliers: best.agreeing.len(),
             matches: places,
             log10_nfa,
         })
-    } else if corner_sigma_px.is_nan() || corner_sigma_px > options.max_corner_sigma_px * coarse_px
-    {
+    } else if let Some(corner_sigma_px) = best.uncertain(all, options, coarse_px) {
         Err(NotFound::Uncertain { corner_sigma_px })
     } else {
         Ok(Estimate {
             target_from_view: fit.b_from_a,
             covariance: fit.covariance,
             sigma_px: fit.sigma_at(centre(all.view_size)),
-            corner_sigma_px,
+            corner_sigma_px: best.corner_sigma_px(all),
             sigma_angle_rad: sigma_angle_rad(fit),
         })
     };

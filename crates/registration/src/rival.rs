@@ -11,7 +11,7 @@ use crate::significance::{log10_nfa, unique_places};
 use crate::{Estimate, Options, Prior, Registration};
 use scopeservo_features::{Features, Keypoint};
 use scopeservo_geometry::{
-    Affine2, Correspondence, OrientedProblem, RansacOptions, Vec2, fit_similarity_robust, lo_ransac,
+    Affine2, Correspondence, OrientedProblem, RansacOptions, Vec2, lo_ransac, similarity_robust,
 };
 use serde::{Deserialize, Serialize};
 
@@ -317,7 +317,7 @@ fn rate(
         .filter(|n| agrees(&rough, n))
         .map(|n| n.pair)
         .collect();
-    let fitted = fit_similarity_robust(&near, 0.005).map(|fit| fit.b_from_a);
+    let fitted = similarity_robust(&near);
     let explained = |t: &Affine2, side: Side| {
         let of = named.iter().filter(|n| n.side == side && agrees(t, n));
         let mut explained: Vec<usize> = of.map(|n| n.asked).collect();

@@ -5,7 +5,7 @@ use crate::prior::coherence;
 use crate::{Method, Options, Prior};
 use scopeservo_geometry::{
     Affine2, AffineFit, AffineProblem, Correspondence, OrientedProblem, RansacOptions, RobustFit,
-    fit_affine_robust, fit_similarity_robust, lo_ransac,
+    SharedErrors, fit_affine_robust, fit_similarity_robust, lo_ransac,
 };
 
 /// How far from a similarity the transform between two views of a microscope may be, relative to its scale: standard deviation.
@@ -26,6 +26,7 @@ pub(crate) struct Search<'a> {
     pub(crate) options: &'a Options,
     /// A match agrees when it lands this near, target pixels.
     pub(crate) threshold: f64,
+    pub(crate) shared: SharedErrors,
 }
 
 impl Search<'_> {
@@ -39,8 +40,8 @@ impl Search<'_> {
             .map(|&i| self.all.pairs[i])
             .collect();
         let fit = match shape {
-            Shape::Affine => fit_affine_robust(&chosen),
-            Shape::Similarity => fit_similarity_robust(&chosen, ANISOTROPY),
+            Shape::Affine => fit_affine_robust(&chosen, &self.shared),
+            Shape::Similarity => fit_similarity_robust(&chosen, ANISOTROPY, &self.shared),
         };
         fit.filter(|fit| self.prior.allows(&fit.b_from_a))
     }

@@ -1,7 +1,7 @@
 //! The registration on made-up features: what is found, what is not, and how often by chance.
 
 use scopeservo_features::{Descriptors, Engine, Features, Keypoint};
-use scopeservo_geometry::{Affine2, Similarity, SplitMix64};
+use scopeservo_geometry::{Affine2, Similarity, SplitMix64, cholesky_inverse};
 use scopeservo_registration::{
     Method, NotFound, Options, Prior, Registration, RotationPrior, ScalePrior,
 };
@@ -120,6 +120,80 @@ fn the_claimed_sigmas_are_the_scatter() {
     let [place, turn] = [place_sq, turn_sq].map(|s: f64| (s / draws as f64).sqrt());
     assert!((0.8..1.25).contains(&place), "place {place}");
     assert!((0.8..1.25).contains(&turn), "turn {turn}");
+}
+
+/// `clumps` of six keypoints within a few pixels that share most of their error, each described one to four times.
+fn clumped(clumps: usize, shared: f64, own: f64, seed: u64) -> (Features, Features) {
+    let mut rng = SplitMix64::new(seed);
+    let (mut view, mut target) = (empty(), empty());
+    let truth = Affine2::from(TRUTH);
+    for _ in 0..clumps {
+        let centre = place(&mut rng);
+        let off = [0, 1].map(|_| shared * rng.normal());
+        for _ in 0..6 {
+            let p = centre.map(|c| c + 3.0 * rng.normal());
+            let q = truth.apply(p);
+            let q = [0, 1].map(|k| q[k] + off[k] + own * rng.normal());
+            let sigma = 2.0 + 2.0 * rng.uniform();
+            for _ in 0..=rng.below(4) {
+                let descriptor = std::array::from_fn(|_| rng.below(32) as u8);
+                let angle = 6.0 * rng.uniform();
+                push(&mut view, keypoint(p, sigma, angle), &descriptor);
+                push(
+                    &mut target,
+                    keypoint(q, 1.4 * sigma, angle + 0.6),
+                    &descriptor,
+                );
+            }
+        }
+    }
+    (view, target)
+}
+
+#[test]
+fn the_covariance_is_true_where_neighbours_share_their_errors() {
+    let truth: [[f64; 3]; 2] = Affine2::from(TRUTH).into();
+    // Shared for the most part, not at all, and by few: they tell how large each error is, and less well how six go together.
+    for (clumps, shared, own, at_most) in [
+        (60, 0.4, 0.1, 1.3),
+        (60, 0.0, 0.3, 1.3),
+        (20, 0.4, 0.1, 1.7),
+    ] {
+        let (mut place_sq, mut turn_sq, mut all_sq) = (0.0, 0.0, 0.0);
+        let draws = 200;
+        for seed in 0..draws {
+            let (view, target) = clumped(clumps, shared, own, seed);
+            let answer = register(&view, &target, &Prior::default(), &Options::default());
+            let found = answer.found().expect("all agree");
+            let m: [[f64; 3]; 2] = found.target_from_view.into();
+            let off: [f64; 6] = std::array::from_fn(|i| m[i / 3][i % 3] - truth[i / 3][i % 3]);
+            let at = [319.5, 239.5, 1.0];
+            let there = [0, 1].map(|k| (0..3).map(|i| off[3 * k + i] * at[i]).sum::<f64>());
+            place_sq += (there[0].powi(2) + there[1].powi(2)) / 2.0 / found.sigma_px.powi(2);
+            let angle = found.target_from_view.linear.rotation_angle();
+            turn_sq += ((angle.expect("it turns") - 0.6) / found.sigma_angle_rad).powi(2);
+            let inverse = cholesky_inverse(&found.covariance).expect("it is a covariance");
+            for i in 0..6 {
+                for j in 0..6 {
+                    all_sq += off[i] * inverse[i][j] * off[j] / 6.0;
+                }
+            }
+        }
+        let [place, turn, all] = [place_sq, turn_sq, all_sq].map(|s| (s / draws as f64).sqrt());
+        assert!((0.85..1.15).contains(&place), "{clumps} {shared}: {place}");
+        assert!((0.85..1.15).contains(&turn), "{clumps} {shared}: {turn}");
+        assert!((0.85..at_most).contains(&all), "{clumps} {shared}: {all}");
+    }
+}
+
+#[test]
+fn nothing_is_known_for_sure() {
+    let (view, target) = pairs(80, 0, 0.0, 9, 1.0);
+    let answer = register(&view, &target, &Prior::default(), &Options::default());
+    let found = answer.found().expect("all agree");
+    assert!(found.sigma_px > 5e-4, "{}", found.sigma_px);
+    assert!(found.sigma_angle_rad > 1e-6 && found.corner_sigma_px > found.sigma_px);
+    assert!(cholesky_inverse(&found.covariance).is_some());
 }
 
 #[test]
