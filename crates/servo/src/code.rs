@@ -87,7 +87,16 @@ impl ServoError {
             Self::FocusAtLimit { .. } => ErrorCode::AtLimit,
             Self::CalibrationViews { .. }
             | Self::CalibrationImplausible { .. }
-            | Self::CalibrationInconsistent { .. } => ErrorCode::CalibrationFailed,
+            | Self::CalibrationInconsistent { .. }
+            | Self::CalibrationContradicted { .. }
+            | Self::BlankView { .. }
+            | Self::WentDark { .. }
+            | Self::AxisStands { .. }
+            | Self::AxesAlike { .. }
+            | Self::AxesContradict { .. }
+            | Self::AxesDiffer { .. }
+            | Self::ViewAstray { .. }
+            | Self::CentreUnknown { .. } => ErrorCode::CalibrationFailed,
             Self::ObjectiveUnclear { .. }
             | Self::PictureStays { .. }
             | Self::StageTooCoarse { .. }

@@ -1,9 +1,9 @@
 //! What can stop a procedure.
 
-use crate::words::rival_in_words;
+use crate::words::{rival_in_words, way_in_words};
 use scopeservo_features::FeatureError;
 use scopeservo_registration::{NotFound, Rival};
-use scopeservo_scope::{ObjectiveId, ScopeError};
+use scopeservo_scope::{Axis, ObjectiveId, ScopeError};
 use thiserror::Error;
 
 /// The error of every procedure.
@@ -84,6 +84,111 @@ pub enum ServoError {
         residual_px: f64,
         /// What would have been accepted, px.
         allowed_px: f64,
+    },
+    /// There is nothing to calibrate on.
+    #[error(
+        "calibration of {objective} failed: the field is blank, with {features} features where {needed} are needed. Focus, and go to a place with \
+         tissue"
+    )]
+    BlankView {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// The most that a view had.
+        features: usize,
+        /// Needed.
+        needed: usize,
+    },
+    /// The image went dark on the way.
+    #[error(
+        "calibration of {objective} was broken off: the image went dark after {views} views. Look at the lamp, the shutter and the camera"
+    )]
+    WentDark {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// Views before.
+        views: usize,
+    },
+    /// An axis was moved, and the image stayed.
+    #[error(
+        "calibration of {objective} was refused: {axis} was sent {}, and the image did not follow: {axis} stands, or all that is seen is on the \
+         camera. Look whether it is switched on, free and not held, and that the slide lies on it",
+        way_in_words(*axis, *asked)
+    )]
+    AxisStands {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// The axis.
+        axis: Axis,
+        /// How far it was sent, m or rad.
+        asked: f64,
+    },
+    /// x and y move the image the same way.
+    #[error(
+        "calibration of {objective} was refused: x and y move the image along the same direction. One of them does the other's work: look at \
+         the cables and at how the axes are assigned"
+    )]
+    AxesAlike {
+        /// The active objective.
+        objective: ObjectiveId,
+    },
+    /// The image turns to the other side than x and y tell.
+    #[error(
+        "calibration of {objective} was refused: the image turns to the other side than x and y tell. Two axes are swapped, or one of them has \
+         the wrong sign, or what the stage carries is described the wrong way round"
+    )]
+    AxesContradict {
+        /// The active objective.
+        objective: ObjectiveId,
+    },
+    /// Pixels are much longer one way than the other.
+    #[error(
+        "calibration of {objective} was refused: a pixel is {factor:.2} times as long one way as the other. One of x and y goes another distance \
+         than it says: look at its steps per millimetre"
+    )]
+    AxesDiffer {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// The longer over the shorter.
+        factor: f64,
+    },
+    /// The view is not where the stage and all other views put it.
+    #[error(
+        "calibration of {objective} was refused: {}. The stage lost steps, an axis stopped, the slide slipped, or something was moved by hand \
+         meanwhile",
+        off_um.map_or(
+            "views that must show the same place do not".to_owned(),
+            |um| format!("in the end the view was {um:.1} um beside where the stage said it is")
+        )
+    )]
+    ViewAstray {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// How far; `None` where it was not found again.
+        off_um: Option<f64>,
+    },
+    /// Rotations did not show the rotation centre.
+    #[error(
+        "calibration of {objective} failed: the rotation centre is known to {sigma_mm:.0} mm only, as the views that turn were not found. \
+         Calibrate where there is tissue all round, and give the rotation more room"
+    )]
+    CentreUnknown {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// Standard deviation, mm.
+        sigma_mm: f64,
+    },
+    /// Views contradict each other.
+    #[error(
+        "calibration of {objective} was refused: {left_out} of {pairs} pairs of views contradict the others. Look for a slide that slips, for \
+         vibration, and for a specimen that repeats itself"
+    )]
+    CalibrationContradicted {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// Pairs that others contradict.
+        left_out: usize,
+        /// All pairs.
+        pairs: usize,
     },
     /// Which objective is active could not be seen.
     #[error(

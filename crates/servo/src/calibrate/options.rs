@@ -50,7 +50,7 @@ impl Default for CalibrateOptions {
             translation_share: 0.35,
             rotation_share: 0.4,
             max_rotation_rad: 0.08,
-            nominal_factor: 1.5,
+            nominal_factor: 1.25,
             residual_factor: 4.0,
             anisotropy: 1.2,
         }
@@ -58,13 +58,13 @@ impl Default for CalibrateOptions {
 }
 
 impl CalibrateOptions {
-    /// Refuses a scale that is far from what is engraved; and what is seen farther from what the stage reports than `explained_px`, the part of
-    /// its repeatability, allows; views that are `contradicted` by others; a pixel much longer one way than the other.
+    /// Refuses a scale that is far from what is engraved; a pixel much longer one way than the other; and what is seen farther from what the
+    /// stage reports than `explained_px`, the part of its repeatability, allows.
     pub(super) fn judge(
         &self,
         calibration: &Calibration,
         objective: &Objective,
-        (residual_px, explained_px, contradicted): (f64, f64, bool),
+        (residual_px, explained_px): (f64, f64),
     ) -> Result<(), ServoError> {
         let (measured, nominal) = (calibration.um_per_px(), objective.nominal_um_per_px);
         let factor = (measured / nominal).max(nominal / measured);
@@ -75,10 +75,16 @@ impl CalibrateOptions {
                 nominal_um_per_px: nominal,
             });
         }
+        let [large, small] = calibration.stage_from_pixel.svd().s;
+        if large > self.anisotropy * small {
+            return Err(ServoError::AxesDiffer {
+                objective: objective.id.clone(),
+                factor: large / small,
+            });
+        }
         // One pixel is for what the data sheet does not name: vibration, drift, the slide's seat.
         let allowed_px = 1.0 + self.residual_factor * explained_px;
-        let [large, small] = calibration.stage_from_pixel.svd().s;
-        if residual_px > allowed_px || contradicted || large > self.anisotropy * small {
+        if residual_px > allowed_px {
             return Err(ServoError::CalibrationInconsistent {
                 objective: objective.id.clone(),
                 residual_px,

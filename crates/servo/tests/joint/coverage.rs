@@ -18,10 +18,7 @@ const CHI_95: f64 = 16.919;
 /// Shares of rounds in which each number, and all together, lay within 95 %; the mean of chi-square over its freedom.
 fn coverage(index: u64, coupled: bool, rounds: u64) -> ([f64; 9], f64, f64) {
     let backlash = BACKLASH[index as usize];
-    let options = PathOptions {
-        coupled,
-        ..PathOptions::default()
-    };
+    let options = PathOptions::default();
     let (mut within, mut jointly, mut chi) = ([0.0; 9], 0.0, 0.0);
     for seed in 0..rounds {
         let mut world = World::hexapod(1000 * (index + 1) + seed);

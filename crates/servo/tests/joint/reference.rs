@@ -25,6 +25,7 @@ fn scipy_finds_the_same_answer_and_covariance() {
     for (name, text) in CASES {
         let case: Case = serde_json::from_str(text).unwrap();
         let priors = Priors {
+            coupled: Some(false),
             sure: true,
             ..case.priors
         };

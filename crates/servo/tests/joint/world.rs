@@ -79,6 +79,7 @@ impl World {
             kinematics: self.kinematics,
             arrival: [Some(x), Some(y), self.turns.then_some(turn)],
             drift_m_per_s: 10e-9,
+            coupled: None,
             sure: false,
             backlash: [30e-6, 30e-6, 1e-4],
             lever_m: 0.3,

@@ -16,6 +16,9 @@ use scopeservo_scope::{Instrument, StagePose};
 const WHOLE: usize = 4;
 /// Besides what the stage turns, the images may turn by this against each other, rad.
 const TURN_SLACK_RAD: f64 = 0.02;
+/// So many features stay in their place of the sensor when the image stays, and so great a share of them.
+const STAYED: usize = 12;
+const STAYED_SHARE: f64 = 0.3;
 
 impl Chain {
     /// Moves, looks, registers, and learns.
@@ -30,7 +33,11 @@ impl Chain {
         }
         let at = scope.move_to(&next.pose.request(present))?;
         let frame = grab(scope, sink, FrameRole::Calibration, &self.objective.id)?;
-        let features = self.vision.of_view(&gray(scope, &frame)?)?;
+        let image = gray(scope, &frame)?;
+        let count = image.data().len().max(1) as f64;
+        self.lit(image.data().iter().map(|v| f64::from(*v)).sum::<f64>() / count)?;
+        let features = self.vision.of_view(&image)?;
+        self.most_features = self.most_features.max(features.len());
         let index = self.taken.len();
         let (pairs, inliers) = self.register(scope, next, &features);
         let place = match pairs.first() {
@@ -52,6 +59,8 @@ impl Chain {
             },
             found: place.is_some(),
         });
+        // Of tries of one step the last may have little left to see, when all that stayed is left out.
+        self.stayed &= place.is_none();
         self.places.push(place);
         self.pairs.extend(pairs);
         self.keep(features);
@@ -138,6 +147,9 @@ impl Chain {
             .those(|_, c| !(stays(c) && (moved || self.fixed.holds(c.p_in_b.map(|v| v as f32)))));
         let registration = register_correspondences(&free, &prior, options);
         if moved {
+            let stay = all.pairs.iter().filter(|c| stays(c)).count();
+            let fewer = view.len().min(self.features[fixed].len());
+            self.stayed |= stay >= STAYED && stay as f64 >= STAYED_SHARE * fewer as f64;
             self.fixed.stayed(all.pairs.iter().filter(|c| stays(c)));
         }
         registration

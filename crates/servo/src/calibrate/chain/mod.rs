@@ -3,9 +3,10 @@
 mod fixed;
 mod look;
 mod pair;
+mod sense;
 mod verdict;
 
-use super::joint::{JointFit, Known, Next, Pair, Priors, Taken, View, fit, next_view};
+use super::joint::{JointFit, Known, Next, Pair, Priors, Role, Taken, View, fit, next_view};
 use crate::event::tell;
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
@@ -44,6 +45,12 @@ pub(crate) struct Chain {
     fixed: FixedOnSensor,
     fit: Option<JointFit>,
     last_reason: Option<NotFound>,
+    /// The most features of a view.
+    most_features: usize,
+    /// Mean of the first image.
+    light: Option<f64>,
+    /// Whether the last view shows what an earlier one did in the same place of the sensor, though the stage was sent elsewhere.
+    stayed: bool,
 }
 
 impl Chain {
@@ -65,6 +72,9 @@ impl Chain {
             fixed: FixedOnSensor::default(),
             fit: None,
             last_reason: None,
+            most_features: 0,
+            light: None,
+            stayed: false,
         }
     }
 
@@ -94,10 +104,13 @@ impl Chain {
         }
         if let Some((next, present)) = self.next(scope)? {
             self.look(scope, sink, (&next, &present))?;
+            self.obeys(scope)?;
             return Ok(Progress::Continue);
         }
         let (calibration, residual_px) = self.verdict(scope)?;
-        self.go_home(scope)?;
+        if self.taken.last().is_none_or(|t| t.role != Role::Home) {
+            self.go_home(scope)?;
+        }
         let event = Event::Calibrated {
             calibration: Box::new(calibration.clone()),
             residual_px,
@@ -140,6 +153,7 @@ impl Chain {
             kinematics: info.kinematics,
             arrival: stated,
             drift_m_per_s: DRIFT_M_PER_S,
+            coupled: None,
             sure: false,
             backlash: BACKLASH,
             lever_m: LEVER_M,

@@ -12,13 +12,16 @@ const LEAST_PX: f64 = 0.01;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Place {
     pub(super) centre_px: Vec2,
-    angle_rad: f64,
+    pub(super) angle_rad: f64,
+    /// Of the angle, rad^2.
+    pub(super) angle_variance: f64,
 }
 
 impl Place {
     pub(super) const FIRST: Self = Self {
         centre_px: [0.0; 2],
         angle_rad: 0.0,
+        angle_variance: 0.0,
     };
 
     pub(super) fn after(&self, pair: &Pair) -> Self {
@@ -26,6 +29,7 @@ impl Place {
         Self {
             centre_px: [0, 1].map(|k| self.centre_px[k] + there[k]),
             angle_rad: self.angle_rad + pair.angle_rad,
+            angle_variance: self.angle_variance + pair.covariance[2][2],
         }
     }
 }

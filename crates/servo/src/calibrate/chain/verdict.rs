@@ -1,7 +1,7 @@
 //! From the fit to the calibration, and whether it can be one.
 
 use super::Chain;
-use crate::calibrate::joint::JointFit;
+use crate::calibrate::joint::{JointFit, Role};
 use crate::calibrate::options::too_few;
 use crate::hand_eye::pose_sigma;
 use crate::{Backlash, CALIBRATION_SCHEMA, Calibration, ServoError};
@@ -11,6 +11,8 @@ use scopeservo_scope::{Axis, Instrument};
 const LEFT_OUT: f64 = 0.2;
 /// Views that must be found: those at the beginning of the path.
 const NEEDED: usize = 4;
+/// A place whose views have fewer features than this, and none that is found again, is blank: noise has some, too.
+const BLANK: usize = 60;
 /// A rotation centre that is known no better is not known, m.
 const UNKNOWN_M: f64 = 5e-3;
 
@@ -23,9 +25,6 @@ impl Chain {
         let fit = self.whole_fit(scope).filter(|_| found >= NEEDED);
         let fit = fit.ok_or_else(|| self.too_few(found))?;
         let covariance = fit.optics_covariance(0);
-        if turns && (4..6).any(|k| covariance[k][k].sqrt() > UNKNOWN_M) {
-            return Err(self.too_few(found));
-        }
         let optics = &fit.instrument.optics[0];
         let camera = scope.camera().info();
         let [x_m, y_m, rz_rad] = fit.instrument.backlash;
@@ -45,10 +44,26 @@ impl Chain {
             scatter: Some(fit.scatter.map(Option::unwrap_or_default)),
         };
         let m_per_px = calibration.um_per_px() * 1e-6;
-        let residual_px = scatter_m(&fit, fit.scatter.map(Option::unwrap_or_default)) / m_per_px;
         let stated_px = scatter_m(&fit, pose_sigma(scope.gate().info())) / m_per_px;
-        let contradicted = fit.left_out.len() as f64 > LEFT_OUT * self.pairs.len() as f64;
-        let seen = (residual_px, stated_px, contradicted);
+        if let Some(known) = self.known(scope) {
+            self.still_obeys(scope, &known, &fit, &calibration, stated_px)?;
+        }
+        let centre_m = (4..6).map(|k| covariance[k][k].sqrt()).fold(0.0, f64::max);
+        if turns && centre_m > UNKNOWN_M {
+            return Err(ServoError::CentreUnknown {
+                objective: self.objective.id.clone(),
+                sigma_mm: 1e3 * centre_m,
+            });
+        }
+        let residual_px = scatter_m(&fit, fit.scatter.map(Option::unwrap_or_default)) / m_per_px;
+        if fit.left_out.len() as f64 > LEFT_OUT * self.pairs.len() as f64 {
+            return Err(ServoError::CalibrationContradicted {
+                objective: self.objective.id.clone(),
+                left_out: fit.left_out.len(),
+                pairs: self.pairs.len(),
+            });
+        }
+        let seen = (residual_px, stated_px);
         self.options.judge(&calibration, &self.objective, seen)?;
         Ok((calibration, residual_px))
     }
@@ -60,7 +75,21 @@ impl Chain {
         known.or_else(|| self.solve(scope))
     }
 
+    /// Why the first moves could not be measured.
     fn too_few(&self, found: usize) -> ServoError {
+        let first = self.taken.first().map(|t| t.asked.x_m[0]);
+        if let (Some(last), Some(first), true) = (self.taken.last(), first, self.stayed)
+            && matches!(last.role, Role::Corner { index: 0, .. })
+        {
+            return self.stands(Axis::X, (last.asked.x_m[0] - first).abs());
+        }
+        if self.most_features < BLANK {
+            return ServoError::BlankView {
+                objective: self.objective.id.clone(),
+                features: self.most_features,
+                needed: BLANK,
+            };
+        }
         let measured = found.saturating_sub(1);
         too_few(
             &self.objective,

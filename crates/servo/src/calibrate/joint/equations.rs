@@ -160,7 +160,7 @@ impl Problem<'_> {
                 let drifted = at.drift.get(k).map_or(0.0, |drift| drift * since_s);
                 let off = axes(pose)[k] - axes(&view.reported)[k] + half * backlash - drifted;
                 let here = order.pose(v) + k;
-                if view.arrived[k] || v == 0 {
+                if view.arrived[k] || v == 0 || priors.coupled.unwrap_or(true) {
                     let mut by = vec![(here, 1.0), (play, half)];
                     if k < 2 {
                         by.push((order.drift() + k, -since_s));

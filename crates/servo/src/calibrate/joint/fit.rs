@@ -2,7 +2,7 @@
 
 use super::equations::Problem;
 use super::minimise::minimise;
-use super::model::{Instrument, OPTICS, Order, Pair, Priors, Unknowns, View};
+use super::model::{Instrument, OPTICS, Order, Pair, Priors, Unknowns, View, axes};
 use super::start::start;
 use super::three::{Three, dot, entries, inverse, product, times};
 use crate::kinematics::PlanarPose;
@@ -63,6 +63,11 @@ const REDUNDANCY: f64 = 5.0;
 const FEW_WRONG: f64 = 0.1;
 /// Residuals with less redundancy, for each of their numbers, say nothing of what scatters.
 const LEAST_REDUNDANCY: f64 = 0.1;
+/// Axes that are not asked to move stand when they scatter by less than this share of what arrivals do, in variance; of so many, at least.
+const STANDING: f64 = 0.25;
+const FEW_STANDING: u32 = 6;
+/// The images show an axis' scatter where they leave less than this share of its variance open.
+const SEEN: f64 = 0.5;
 /// No stage arrives better than this, m and rad.
 const LEAST_SCATTER: f64 = 1e-9;
 
@@ -70,6 +75,8 @@ const LEAST_SCATTER: f64 = 1e-9;
 ///
 /// How far arrivals scatter is stated by data sheets in many ways, with the play in it or without. So it is estimated, axis by axis, along
 /// with the rest: variance components by Foerstner's iteration, each the sum of its squared residuals over its redundancy.
+///
+/// Whether an axis that is not asked to move stands, or arrives anew with all the others, no description of a stage says. It is seen, too.
 ///
 /// A wrong pair looks like a stage that scatters, and a stage that scatters more than it says like wrong pairs. So first the stage is believed
 /// until no pair contradicts another; where that leaves out many, the stage is what is wrong.
@@ -84,10 +91,26 @@ pub fn fit(priors: &Priors, views: &[View], pairs: &[Pair]) -> Option<JointFit> 
             .map(|a| a.map(|sigma| sigma.max(LEAST_SCATTER))),
         ..*priors
     };
-    let believed = fit_from(&priors, views, pairs, true)?;
-    match believed.left_out.len() as f64 <= FEW_WRONG * pairs.len() as f64 {
+    let of = |coupled: bool| {
+        let coupled = Some(coupled);
+        fit_as(&Priors { coupled, ..priors }, views, pairs)
+    };
+    let (together, stands) = match priors.coupled {
+        Some(coupled) => return Some(of(coupled)?.0),
+        None => of(true)?,
+    };
+    match stands {
+        true => Some(of(false)?.0),
+        false => Some(together),
+    }
+}
+
+/// The fit, and whether in it axes that are not asked to move are seen to stand.
+fn fit_as(priors: &Priors, views: &[View], pairs: &[Pair]) -> Option<(JointFit, bool)> {
+    let believed = fit_from(priors, views, pairs, true)?;
+    match believed.0.left_out.len() as f64 <= FEW_WRONG * pairs.len() as f64 {
         true => Some(believed),
-        false => fit_from(&priors, views, pairs, false),
+        false => fit_from(priors, views, pairs, false),
     }
 }
 
@@ -110,7 +133,12 @@ impl Belief {
     }
 }
 
-fn fit_from(priors: &Priors, views: &[View], pairs: &[Pair], believed: bool) -> Option<JointFit> {
+fn fit_from(
+    priors: &Priors,
+    views: &[View],
+    pairs: &[Pair],
+    believed: bool,
+) -> Option<(JointFit, bool)> {
     let mut belief = Belief {
         priors: *priors,
         pair_variance: 1.0,
@@ -148,7 +176,9 @@ fn fit_from(priors: &Priors, views: &[View], pairs: &[Pair], believed: bool) -> 
         }
     }
     let problem = belief.problem(views, pairs);
-    Some(Solved::of(&problem, at)?.told(&problem))
+    let solved = Solved::of(&problem, at)?;
+    let stand = solved.stand(&problem);
+    Some((solved.told(&problem), stand))
 }
 
 /// What scatters, as the residuals show it.
@@ -295,6 +325,31 @@ impl Solved {
             arrival,
             pair_variance: (factor * problem.pair_variance).max(1.0),
         })
+    }
+
+    /// Whether axes that are not asked to move do not. Were they to arrive anew, they would scatter from view to view by twice the variance of
+    /// an arrival, less what is left of that when the images are known; where much is left these say nothing.
+    fn stand(&self, problem: &Problem) -> bool {
+        let (order, n) = (self.at.order(), self.at.order().count());
+        let off =
+            |v: usize, k: usize| axes(&self.at.poses[v])[k] - axes(&problem.views[v].reported)[k];
+        let (mut count, mut share) = (0, 0.0);
+        for (v, view) in problem.views.iter().enumerate().skip(1) {
+            for (k, arrival) in problem.priors.arrival.iter().enumerate() {
+                let (Some(sigma), false) = (arrival, view.arrived[k]) else {
+                    continue;
+                };
+                let (here, before) = (order.pose(v) + k, order.pose(v - 1) + k);
+                let cell = |i: usize, j: usize| self.covariance[i * n + j];
+                let left = cell(here, here) + cell(before, before) - 2.0 * cell(here, before);
+                let scatter = 2.0 * sigma * sigma;
+                if left < SEEN * scatter {
+                    count += 1;
+                    share += (off(v, k) - off(v - 1, k)).powi(2) / (scatter - left);
+                }
+            }
+        }
+        count >= FEW_STANDING && share < STANDING * f64::from(count)
     }
 
     /// The covariance of what the fit expects of a pair, by its derivative.

@@ -17,7 +17,8 @@ pub struct View {
     /// When it was taken, on any clock, s.
     #[serde(default)]
     pub time_s: f64,
-    /// Whether the axis has arrived anew since the view before; else it stands as it stood there, with whatever it was off.
+    /// Whether the axis was moved since the view before; else, where the axes are not coupled, it stands as it stood there, with whatever it
+    /// was off.
     pub arrived: [bool; 3],
 }
 
@@ -46,6 +47,9 @@ pub struct Priors {
     /// Standard deviation of how fast the stage drifts, x and y, m/s; 0: it does not.
     #[serde(default)]
     pub drift_m_per_s: f64,
+    /// Whether all axes arrive anew with each move, as a hexapod's do; else one that is not asked to move stands. `None`: what is seen tells.
+    #[serde(default)]
+    pub coupled: Option<bool>,
     /// Whether arrivals and pairs scatter as stated; else what is seen tells.
     #[serde(default)]
     pub sure: bool,

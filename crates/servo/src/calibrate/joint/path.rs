@@ -7,6 +7,8 @@
 //!   that allows, until the widest.
 //! - Rotations back and forth about the ends of the cross, each angle reached from both sides: a view there tells of the map and the
 //!   rotation centre at once. They end when both are known well enough.
+//! - The reference again: an axis that stopped on the way, lost steps or a slide that slipped may look like another rotation centre, but not
+//!   here.
 
 use super::plan::{Known, Next, PathOptions, Role, Taken};
 use super::play::{Arrival, arrive, settled};
@@ -30,7 +32,11 @@ const SWEEP: [(f64, usize); 8] = [
 /// Views for the reference, the corners and the return.
 const FIRST_VIEWS: usize = 4;
 /// Views for rotations and at the ends of the cross.
-const TURNED_VIEWS: usize = 12;
+const TURNED_VIEWS: usize = 11;
+/// The view that ends the path.
+const LAST_VIEWS: usize = 1;
+/// Rotations wider and wider, at most: five are usual, and a centre that does not become known is not there.
+const MOST_WIDER: usize = 8;
 /// So often a step is made shorter when its view is not found.
 const RETRIES: u8 = 3;
 /// A view is registered to so many others at most.
@@ -47,11 +53,10 @@ pub fn next_view(
         known,
         allowed,
     };
-    if known.taken.len() >= options.most_views {
-        return None;
-    }
     let (role, pose) = path.after(known.taken.last())?;
-    let from = known.taken.last().map(|t| (&t.asked, t.view.approach));
+    // Home is reached as the reference was.
+    let last = known.taken.last().filter(|_| role != Role::Home);
+    let from = last.map(|t| (&t.asked, t.view.approach));
     let pose = from.map_or(pose, |(from, _)| settled(from, &pose));
     let same_side = matches!(role, Role::Arm { .. });
     let Arrival {
@@ -64,7 +69,7 @@ pub fn next_view(
         via,
         pose,
         approach,
-        arrived: moved.map(|moved| moved || options.coupled),
+        arrived: moved,
     })
 }
 
@@ -90,6 +95,18 @@ impl Prospect<'_> {
         let Some(last) = last else {
             return Some((Role::Reference, self.known.start));
         };
+        let room = self.known.taken.len() + LAST_VIEWS < self.options.most_views;
+        let onward = || self.onward(last);
+        let home = Some((Role::Home, self.reference()));
+        match last.role {
+            Role::Home => None,
+            // Lost at its beginning, it has nothing to end.
+            Role::Reference | Role::Corner { .. } => onward(),
+            _ => room.then(onward).flatten().or(home),
+        }
+    }
+
+    fn onward(&self, last: &Taken) -> Option<(Role, PlanarPose)> {
         match last.role {
             Role::Reference => self.corner(0, 0),
             Role::Corner { halvings, .. } if !last.found => {
@@ -101,6 +118,7 @@ impl Prospect<'_> {
             Role::Arm { direction } => self.arm(usize::from(direction) + usize::from(!last.found)),
             Role::Widen { tries } => self.widen(if last.found { 0 } else { tries + 1 }),
             Role::Sweep { index } => self.sweep(usize::from(index) + 1),
+            Role::Home => None,
         }
     }
 
@@ -140,7 +158,7 @@ impl Prospect<'_> {
                 .map(|k| (t.asked.x_m[k] - reference.x_m[k]) * arm[k])
                 .sum()
         });
-        let others = FIRST_VIEWS + TURNED_VIEWS;
+        let others = FIRST_VIEWS + TURNED_VIEWS + LAST_VIEWS;
         let most = self.options.most_views.saturating_sub(others) / ARMS.len();
         let rest_m = self.options.reach_m - gone_m;
         if made.count() >= most || rest_m < 0.1 * self.options.reach_m {
@@ -170,7 +188,9 @@ impl Prospect<'_> {
         let fit = self.known.fit?;
         let reached_rad = self.reached_rad();
         let widest_rad = self.widest_rad(fit, &self.reference(), 1.0);
-        if tries > RETRIES || reached_rad >= 0.999 * widest_rad {
+        let wider = |t: &&Taken| matches!(t.role, Role::Widen { .. });
+        let made = self.known.taken.iter().filter(wider).count();
+        if tries > RETRIES || made >= MOST_WIDER || reached_rad >= 0.999 * widest_rad {
             return self.sweep(0);
         }
         let miss_m = self.options.miss_share * self.field_m() / f64::from(1u32 << (2 * tries));

@@ -26,8 +26,6 @@ pub struct PathOptions {
     pub enough_map: f64,
     /// Standard deviation of the rotation centre that is enough, m.
     pub enough_centre_m: f64,
-    /// Whether all axes arrive anew with each move, as a hexapod's do; else an axis that is not asked to move stands.
-    pub coupled: bool,
     /// Play of x, y (m) and rotation (rad) at most: an axis that turns back by less makes a run-up.
     pub most_play: [f64; 3],
 }
@@ -43,7 +41,6 @@ impl Default for PathOptions {
             miss_share: 0.25,
             enough_map: 1.5e-4,
             enough_centre_m: 3e-6,
-            coupled: true,
             most_play: [30e-6, 30e-6, 1e-4],
         }
     }
@@ -79,6 +76,8 @@ pub enum Role {
         /// How many were made before.
         index: u8,
     },
+    /// The reference again, when all else is seen: whether the stage comes back.
+    Home,
 }
 
 /// A view that was taken.
@@ -126,6 +125,6 @@ pub struct Next {
     pub pose: PlanarPose,
     /// From which side each axis arrives.
     pub approach: [i8; 3],
-    /// Which axes arrive anew.
+    /// Which axes move.
     pub arrived: [bool; 3],
 }

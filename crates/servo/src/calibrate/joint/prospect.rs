@@ -17,15 +17,18 @@ pub(super) struct Prospect<'a> {
 impl Known<'_> {
     /// Where the centre of a view at b lies in one at a, px from its centre. Before the map is known it is as far to either side.
     fn shift_px(&self, a: &PlanarPose, b: &PlanarPose) -> Option<Vec2> {
-        let Some(optics) = self
-            .fit
-            .and_then(|fit| fit.instrument.optics.get(self.optics))
-        else {
+        let Some(fit) = self.fit else {
             let way_m = f64::hypot(a.x_m[0] - b.x_m[0], a.x_m[1] - b.x_m[1]);
             return Some([way_m / self.nominal_m_per_px * std::f64::consts::FRAC_1_SQRT_2; 2]);
         };
+        self.shows(a, b, fit).map(|[x, y, _]| [x, y])
+    }
+
+    /// Where the centre of a view at b lies in one at a, px from its centre, and its angle there, rad.
+    pub(crate) fn shows(&self, a: &PlanarPose, b: &PlanarPose, fit: &JointFit) -> Option<[f64; 3]> {
+        let optics = fit.instrument.optics.get(self.optics)?;
         let sights = [a, b].map(|p| sight(self.kinematics, p, optics.centre_m));
-        shown(&sights, &[optics, optics]).map(|[x, y, _]| [x, y])
+        shown(&sights, &[optics, optics])
     }
 
     /// How far an image's centre moves on the sensor between two poses, px; 0 where that is not known.

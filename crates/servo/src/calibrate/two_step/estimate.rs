@@ -40,7 +40,7 @@ impl TwoStep {
             scatter: None,
         };
         let explained_px = explained_px(&reference, &calibration, info.kinematics, pose_sigma);
-        let seen = (residual_px, explained_px, false);
+        let seen = (residual_px, explained_px);
         self.options.judge(&calibration, &self.objective, seen)?;
         Ok((calibration, residual_px))
     }
