@@ -44,7 +44,7 @@ pub(super) struct Plan {
 impl Plan {
     /// Field by field between two plans.
     #[inline(always)]
-    fn mix(a: &Plan, b: &Plan, t: f32) -> Plan {
+    pub(super) fn mix(a: &Plan, b: &Plan, t: f32) -> Plan {
         let m = |x: f32, y: f32| x + (y - x) * t;
         Plan {
             depth: m(a.depth, b.depth),
@@ -131,28 +131,39 @@ impl PlanGrid {
         }
     }
 
-    /// The plans of a row of samples from column `i0`.
+    /// The plans of a row of samples where it crosses the grid's columns, from sample column `i0` on, a multiple of
+    /// [`PITCH`].
     pub(super) fn row(&self, i0: i64, j: i64, out: &mut [Plan]) {
         let (b, ty) = (
             j.div_euclid(PITCH),
             (j.rem_euclid(PITCH) as f32 + 0.5) / PITCH as f32,
         );
-        let line = (b - self.j0) as usize * self.columns;
-        let node = |a: i64| {
-            let at = line + (a - self.i0) as usize;
-            Plan::mix(&self.nodes[at], &self.nodes[at + self.columns], ty)
-        };
-        let mut done = 0;
-        while done < out.len() {
-            let i = i0 + done as i64;
-            let (a, k) = (i.div_euclid(PITCH), i.rem_euclid(PITCH));
-            let n = ((PITCH - k) as usize).min(out.len() - done);
-            let (left, right) = (node(a), node(a + 1));
-            for (s, o) in out[done..done + n].iter_mut().enumerate() {
-                *o = Plan::mix(&left, &right, (k as f32 + s as f32 + 0.5) / PITCH as f32);
-            }
-            done += n;
+        let at = (b - self.j0) as usize * self.columns + (i0.div_euclid(PITCH) - self.i0) as usize;
+        let (upper, lower) = (&self.nodes[at..], &self.nodes[at + self.columns..]);
+        for (out, (a, b)) in out.iter_mut().zip(upper.iter().zip(lower)) {
+            *out = Plan::mix(a, b, ty);
         }
+    }
+
+    /// The least and the largest `flow` at the nodes around a window.
+    pub(super) fn flows(&self, [i0, j0]: [i64; 2], [w, h]: [usize; 2]) -> [f32; 2] {
+        let around = |first: i64, n: usize, from: i64| {
+            let last = (first + n as i64).div_euclid(PITCH) + 1;
+            (first.div_euclid(PITCH) - from) as usize..=(last - from) as usize
+        };
+        let (columns, rows) = (around(i0, w, self.i0), around(j0, h, self.j0));
+        let mut ends = [f32::INFINITY, f32::NEG_INFINITY];
+        for line in self
+            .nodes
+            .chunks_exact(self.columns)
+            .skip(*rows.start())
+            .take(rows.count())
+        {
+            for plan in &line[columns.clone()] {
+                ends = [ends[0].min(plan.flow), ends[1].max(plan.flow)];
+            }
+        }
+        ends
     }
 }
 
