@@ -3,8 +3,9 @@
 //! Places are a hard-core thinning of random candidates (Matern 1960, type II, run twice to fill the gaps): a candidate
 //! stays if none of higher rank is nearer than their mean radius. The rule is local, so any window finds the same cells.
 
+use super::grid::PlanGrid;
 use super::noise::{Dice, hash, smoothstep};
-use super::plan::{PlanGrid, SAMPLE_UM};
+use super::plan::SAMPLE_UM;
 use std::ops::Range;
 
 /// Side of a bin of candidates, micrometres.

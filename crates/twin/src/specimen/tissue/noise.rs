@@ -76,7 +76,7 @@ pub(super) fn norm(x: f32, y: f32) -> f32 {
 
 /// Largest whole number not above `x`. The library's `floor` is a call on the oldest x86-64.
 #[inline(always)]
-fn floor_i64(x: f64) -> i64 {
+pub(super) fn floor_i64(x: f64) -> i64 {
     let k = x as i64;
     k - i64::from(x < k as f64)
 }
@@ -92,24 +92,33 @@ pub(super) fn mix(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
+/// The cell of a lattice that was looked at last, and the directions at its corners. Neighbouring places mostly share it.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Corners {
+    cell: Option<[i64; 2]>,
+    directions: [[f32; 2]; 4],
+}
+
 /// Gradient noise (Perlin, *Improving Noise*, SIGGRAPH 2002) of wavelength `wave_um`, about -1 to 1, standard deviation
-/// about 0.35. The lattice is turned by an angle of its own for every seed.
-pub(super) fn gradient(seed: u64, wave_um: f64, u: f64, v: f64) -> f32 {
+/// about 0.35. The lattice is turned by an angle of its own for every seed. `corners` are those of the same seed.
+pub(super) fn gradient(seed: u64, wave_um: f64, u: f64, v: f64, corners: &mut Corners) -> f32 {
     let (sin, cos) = turn(seed);
     let (x, y) = ((u * cos - v * sin) / wave_um, (u * sin + v * cos) / wave_um);
     let (i, j) = (floor_i64(x), floor_i64(y));
-    let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
-    let corner = |di: i64, dj: i64| {
+    if corners.cell != Some([i, j]) {
         // Sixteen directions are enough to hide the lattice.
-        let h = hash(seed, i + di, j + dj);
-        let [gx, gy] = DIRECTIONS[(h >> 28) as usize];
-        gx * (fx - di as f32) + gy * (fy - dj as f32)
-    };
+        corners.directions = [[0, 0], [1, 0], [0, 1], [1, 1]]
+            .map(|[di, dj]| DIRECTIONS[(hash(seed, i + di, j + dj) >> 28) as usize]);
+        corners.cell = Some([i, j]);
+    }
+    let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
+    let [a, b, c, d] = corners.directions;
+    let corner = |[gx, gy]: [f32; 2], di: f32, dj: f32| gx * (fx - di) + gy * (fy - dj);
     let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
     let (sx, sy) = (fade(fx), fade(fy));
     1.5 * mix(
-        mix(corner(0, 0), corner(1, 0), sx),
-        mix(corner(0, 1), corner(1, 1), sx),
+        mix(corner(a, 0.0, 0.0), corner(b, 1.0, 0.0), sx),
+        mix(corner(c, 0.0, 1.0), corner(d, 1.0, 1.0), sx),
         sy,
     )
 }

@@ -2,8 +2,9 @@
 
 use super::cast::{Layers, cast};
 use super::cells::{Cell, MARGIN_UM, cells_near};
+use super::grid::{PlanGrid, Plans};
 use super::noise::{Lattice, Strands, larger, lesser, mix, smoothstep};
-use super::plan::{PITCH, Plan, PlanGrid, SAMPLE_UM};
+use super::plan::{PITCH, Plan, SAMPLE_UM};
 use super::stain;
 
 /// Samples of a row that are painted together: those between two nodes of the plan. What is the same for all of them is
@@ -83,10 +84,10 @@ struct Here<'a> {
 }
 
 /// The colours of samples `i0..i0 + w`, `j0..j0 + h` (columns right, rows down), red first.
-pub(super) fn window(seed: u64, [i0, j0]: [i64; 2], [w, h]: [usize; 2]) -> Vec<u8> {
+pub(super) fn window(plans: &Plans, [i0, j0]: [i64; 2], [w, h]: [usize; 2]) -> Vec<u8> {
     let skipped = i0.rem_euclid(PITCH) as usize;
     let width = (skipped + w).next_multiple_of(BLOCK);
-    let painter = Painter::new(seed, [i0 - skipped as i64, j0], [width, h]);
+    let painter = Painter::new(plans, [i0 - skipped as i64, j0], [width, h]);
     let mut rgb = vec![0; 3 * w * h];
     let zeros = |rows: usize| vec![0.0; width * rows];
     let mut work = Work {
@@ -106,8 +107,9 @@ pub(super) fn window(seed: u64, [i0, j0]: [i64; 2], [w, h]: [usize; 2]) -> Vec<u
 }
 
 impl Painter {
-    fn new(seed: u64, origin: [i64; 2], [w, h]: [usize; 2]) -> Self {
-        let plan = PlanGrid::new(seed, origin, [w, h], MARGIN_UM);
+    fn new(plans: &Plans, origin: [i64; 2], [w, h]: [usize; 2]) -> Self {
+        let seed = plans.seed;
+        let plan = PlanGrid::new(plans, origin, [w, h], MARGIN_UM);
         let noise = |k: u64, pitch| Lattice::new(seed.wrapping_add(100 + k), pitch, origin, [w, h]);
         let um = |first: i64, n: usize| {
             (first..first + n as i64).map(|k| ((k as f64 + 0.5) * SAMPLE_UM) as f32)
