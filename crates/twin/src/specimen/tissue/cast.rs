@@ -2,7 +2,7 @@
 //! order does not matter.
 
 use super::cells::{Cell, Kind, REACH_UM};
-use super::noise::{larger, lesser, norm, smoothstep};
+use super::noise::{MOST, larger, lesser, norm, smoothstep};
 use super::plan::SAMPLE_UM;
 use std::array;
 use std::ops::Range;
@@ -305,8 +305,7 @@ fn cast_disc(
         Kind::RedCell => &mut layers.blood,
         _ => &mut layers.body,
     };
-    // Noise is less than 1.7 either way.
-    let most = radius + 0.45 + 0.5 * 1.7;
+    let most = radius + 0.45 + 0.5 * MOST;
     let (along, across) = (most * root, most / root);
     for row in seen.area.rows.clone() {
         let dy = seen.dy(row);
@@ -386,8 +385,7 @@ fn cast_nucleus(
 /// How far along and across its axis from a cell's place its nucleus can reach, up to where its shape falls to `edge`.
 fn extent(cell: &Cell, edge: f32) -> ([f32; 2], [f32; 2]) {
     let ([a, b], [c, s], [ox, oy]) = (cell.nucleus, cell.axis, cell.offset);
-    // Noise is less than 1.7 either way.
-    let most = edge + 0.12 * 1.7;
+    let most = edge + 0.12 * MOST;
     let (along, across, bent) = if cell.kind == Kind::Fibroblast {
         (a * most.sqrt(), b * most, cell.bend * a * most)
     } else {

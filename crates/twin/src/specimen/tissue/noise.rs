@@ -279,7 +279,13 @@ fn between(places: impl Iterator<Item = f32>) -> (i32, Vec<(usize, f32)>) {
     (first, between.collect())
 }
 
-/// Value noise on every sample of a window, smoothly interpolated between nodes `pitch` samples apart; -1.6 to 1.6.
+/// More than the noise of a [`Lattice`] is anywhere, either way.
+pub(super) const MOST: f32 = 1.01 * GAIN;
+
+/// A B-spline of white nodes keeps little variance; this brings the standard deviation to about 0.5.
+const GAIN: f32 = 1.6;
+
+/// Value noise on every sample of a window, smoothly interpolated between nodes `pitch` samples apart.
 pub(super) struct Lattice {
     pitch: usize,
     width: usize,
@@ -337,8 +343,6 @@ impl Lattice {
 
     /// The noise of `out.len() / width` rows of the window from row `first` on.
     pub(super) fn rows(&self, first: usize, out: &mut [f32]) {
-        // A B-spline of white nodes keeps little variance; this brings the standard deviation to about 0.5.
-        const GAIN: f32 = 1.6;
         let w = self.width;
         for (j, line) in out.chunks_exact_mut(w).enumerate() {
             let j = first + j + self.off;

@@ -3,7 +3,7 @@
 use super::cast::{Layers, cast};
 use super::cells::{Cell, MARGIN_UM, cells_near};
 use super::grid::{PlanGrid, Plans};
-use super::noise::{Lattice, Strands, larger, lesser, mix, smoothstep};
+use super::noise::{Lattice, MOST, Strands, larger, lesser, mix, smoothstep};
 use super::plan::{PITCH, Plan, SAMPLE_UM};
 use super::stain;
 
@@ -13,8 +13,9 @@ const BLOCK: usize = PITCH as usize;
 /// Rows painted together: what a band needs stays in the processor's cache.
 const BAND: usize = 16;
 
-/// More than borders are uneven anywhere, micrometres.
-const MOST_ROUGH: f32 = 7.5;
+/// More than `rough` is anywhere, and more than `phase` adds to the flow.
+const MOST_ROUGH: f32 = (2.2 + 1.5 + 0.7) * MOST;
+const MOST_SHIFT: f32 = (0.8 + 0.5 + 0.12) * MOST;
 
 type Block = [f32; BLOCK];
 
@@ -115,12 +116,11 @@ impl Painter {
             (first..first + n as i64).map(|k| ((k as f64 + 0.5) * SAMPLE_UM) as f32)
         };
         let strands = |seed, waves| {
-            let flows = plan.flows(origin, [w, h]);
-            // What `phase` adds to the flow is less than 2.5.
+            let [least, most] = plan.flows(origin, [w, h]);
             Strands::new(
                 seed,
                 waves,
-                [flows[0] - 2.5, flows[1] + 2.5],
+                [least - MOST_SHIFT, most + MOST_SHIFT],
                 um(origin[0], w),
                 um(origin[1], h),
             )
