@@ -3,8 +3,10 @@
 //! Places are a hard-core thinning of random candidates (Matern 1960, type II, run twice to fill the gaps): a candidate
 //! stays if none of higher rank is nearer than their mean radius. The rule is local, so any window finds the same cells.
 
+use super::grid::PlanGrid;
 use super::noise::{Dice, hash, smoothstep};
-use super::plan::{PlanGrid, SAMPLE_UM};
+use super::plan::SAMPLE_UM;
+use std::ops::Range;
 
 /// Side of a bin of candidates, micrometres.
 const BIN_UM: f64 = 8.0;
@@ -66,6 +68,14 @@ struct Candidate {
     state: State,
 }
 
+/// Candidates in square bins, row by row.
+struct Bins {
+    across: usize,
+    /// The first candidate of each bin, and the number of all.
+    starts: Vec<usize>,
+    candidates: Vec<Candidate>,
+}
+
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum State {
     Waiting,
@@ -85,17 +95,21 @@ pub(super) fn cells_near(
     let m = THINNING_UM;
     let bin = |x: f64| (x / BIN_UM).floor() as i64;
     let (a0, a1, b0, b1) = (bin(u0 - m), bin(u1 + m), bin(v0 - m), bin(v1 + m));
-    let across = (a1 - a0 + 1) as usize;
-    let mut bins: Vec<Vec<Candidate>> = (b0..=b1)
-        .flat_map(|b| (a0..=a1).map(move |a| (a, b)))
-        .map(|(a, b)| {
-            (0..PER_BIN)
-                .filter_map(|k| candidate(seed, plan, [u0 - m, u1 + m, v0 - m, v1 + m], [a, b, k]))
-                .collect()
-        })
-        .collect();
+    let span = [u0 - m, u1 + m, v0 - m, v1 + m];
+    let mut bins = Bins {
+        across: (a1 - a0 + 1) as usize,
+        starts: vec![0],
+        candidates: Vec::new(),
+    };
+    for b in b0..=b1 {
+        for a in a0..=a1 {
+            let found = (0..PER_BIN).filter_map(|k| candidate(seed, plan, span, [a, b, k]));
+            bins.candidates.extend(found);
+            bins.starts.push(bins.candidates.len());
+        }
+    }
     for _ in 0..2 {
-        thin(&mut bins, across);
+        bins.thin();
     }
     let near = |c: &&Candidate| {
         c.state == State::Kept
@@ -104,8 +118,8 @@ pub(super) fn cells_near(
             && c.v > v0 - REACH_UM
             && c.v < v1 + REACH_UM
     };
-    bins.iter()
-        .flatten()
+    bins.candidates
+        .iter()
         .filter(near)
         .map(|c| dress(seed, plan, c))
         .collect()
@@ -163,50 +177,58 @@ fn candidate(seed: u64, plan: &PlanGrid, span: [f64; 4], [a, b, k]: [i64; 3]) ->
     })
 }
 
-/// One round: a waiting candidate near a kept one is dropped; one that outranks all waiting ones around it is kept.
-fn thin(bins: &mut [Vec<Candidate>], across: usize) {
-    let down = bins.len() / across;
-    let around = |bin: usize| {
-        // Mean radii reach at most 9 um: two bins.
-        let (x, y) = (bin % across, bin / across);
-        let columns = x.saturating_sub(2)..(x + 3).min(across);
-        (y.saturating_sub(2)..(y + 3).min(down))
-            .flat_map(move |r| columns.clone().map(move |c| r * across + c))
-    };
-    let close = |a: &Candidate, b: &Candidate| {
-        let (dx, dy, r) = (a.u - b.u, a.v - b.v, f64::from(0.5 * (a.radius + b.radius)));
-        dx * dx + dy * dy < r * r
-    };
-    let mut kept = Vec::new();
-    for bin in 0..bins.len() {
-        for (k, c) in bins[bin].iter().enumerate() {
-            if c.state != State::Waiting {
-                continue;
-            }
-            let beaten = around(bin)
-                .flat_map(|n| &bins[n])
-                .any(|o| o.state == State::Waiting && o.rank > c.rank && close(c, o));
-            if !beaten {
-                kept.push((bin, k));
-            }
-        }
+impl Bins {
+    fn bin(&self, bin: usize) -> Range<usize> {
+        self.starts[bin]..self.starts[bin + 1]
     }
-    for &(bin, k) in &kept {
-        bins[bin][k].state = State::Kept;
+
+    /// The candidates, row by row, of the bins that may hold a close one: mean radii reach at most 9 um, two bins.
+    fn around(&self, bin: usize) -> impl Iterator<Item = Range<usize>> {
+        let (x, y) = (bin % self.across, bin / self.across);
+        let (first, last) = (x.saturating_sub(2), (x + 3).min(self.across));
+        let down = (self.starts.len() - 1) / self.across;
+        (y.saturating_sub(2)..(y + 3).min(down)).map(move |row| {
+            let row = row * self.across;
+            self.starts[row + first]..self.starts[row + last]
+        })
     }
-    let mut dropped = Vec::new();
-    for &(bin, k) in &kept {
-        let c = &bins[bin][k];
-        for n in around(bin) {
-            for (l, o) in bins[n].iter().enumerate() {
-                if o.state == State::Waiting && close(c, o) {
-                    dropped.push((n, l));
+
+    /// One round: a waiting candidate near a kept one is dropped; one that outranks all waiting ones around it is kept.
+    fn thin(&mut self) {
+        let close = |a: &Candidate, b: &Candidate| {
+            let (dx, dy, r) = (a.u - b.u, a.v - b.v, f64::from(0.5 * (a.radius + b.radius)));
+            dx * dx + dy * dy < r * r
+        };
+        let waiting = |c: &Candidate| c.state == State::Waiting;
+        let (mut kept, mut dropped) = (Vec::new(), Vec::new());
+        for bin in 0..self.starts.len() - 1 {
+            for k in self.bin(bin) {
+                let c = &self.candidates[k];
+                let beats = |o: &Candidate| waiting(o) && o.rank > c.rank && close(c, o);
+                let beaten = || {
+                    self.around(bin)
+                        .any(|near| self.candidates[near].iter().any(beats))
+                };
+                if waiting(c) && !beaten() {
+                    kept.push((bin, k));
                 }
             }
         }
-    }
-    for (bin, k) in dropped {
-        bins[bin][k].state = State::Dropped;
+        for &(_, k) in &kept {
+            self.candidates[k].state = State::Kept;
+        }
+        for &(bin, k) in &kept {
+            let c = &self.candidates[k];
+            for n in self.around(bin).flatten() {
+                let o = &self.candidates[n];
+                if waiting(o) && close(c, o) {
+                    dropped.push(n);
+                }
+            }
+        }
+        for n in dropped {
+            self.candidates[n].state = State::Dropped;
+        }
     }
 }
 

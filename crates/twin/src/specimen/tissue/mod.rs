@@ -4,11 +4,13 @@
 
 mod cast;
 mod cells;
+mod grid;
 mod noise;
 mod paint;
 mod plan;
 mod stain;
 
+use self::grid::Plans;
 use super::pyramid::{Grid, Pyramid, Source, TILE};
 use super::{Patch, Specimen, SpecimenError};
 
@@ -19,6 +21,7 @@ const LEVELS: usize = 6;
 #[derive(Debug)]
 pub struct Tissue {
     seed: u64,
+    plans: Plans,
     grid: Grid,
     pyramid: Pyramid,
 }
@@ -27,8 +30,11 @@ impl Tissue {
     /// The section of this seed. Nothing is computed before it is looked at.
     #[must_use]
     pub fn new(seed: u64) -> Self {
+        // Stirred so that neighbouring seeds share nothing.
+        let half = |k| u64::from(noise::hash(seed, k, 2026));
         Self {
             seed,
+            plans: Plans::new(half(1) << 32 | half(2)),
             grid: Grid {
                 finest_um: plan::SAMPLE_UM,
                 levels: LEVELS,
@@ -39,24 +45,14 @@ impl Tissue {
     }
 }
 
-/// The seed as a source of tiles, stirred so that neighbouring seeds share nothing.
-struct Made(u64);
-
-impl Source for Made {
+impl Source for Plans {
     fn finest(&self, tx: i64, ty: i64) -> Result<Vec<u8>, SpecimenError> {
         let t = TILE as i64;
-        Ok(paint::window(self.0, [tx * t, ty * t], [TILE, TILE]))
+        Ok(paint::window(self, [tx * t, ty * t], [TILE, TILE]))
     }
 
     fn is_blank(&self, _column: i64, _row: i64, _side: i64) -> bool {
         false
-    }
-}
-
-impl Tissue {
-    fn source(&self) -> Made {
-        let half = |k| u64::from(noise::hash(self.seed, k, 2026));
-        Made(half(1) << 32 | half(2))
     }
 }
 
@@ -77,7 +73,7 @@ impl Specimen for Tissue {
         margin: usize,
     ) -> Result<Patch, SpecimenError> {
         let w = self.grid.window(level, x_um, y_um, margin)?;
-        let rgb = self.pyramid.read(&self.source(), &w)?;
+        let rgb = self.pyramid.read(&self.plans, &w)?;
         Ok(self.grid.patch(&w, rgb))
     }
 
@@ -99,7 +95,7 @@ mod tests {
 
     #[test]
     fn any_window_gives_the_same_samples() {
-        let made = |origin, size| paint::window(77, origin, size);
+        let made = |origin, size| paint::window(&Plans::new(77), origin, size);
         let whole = made([-300, 120], [256, 256]);
         for (dx, dy, w, h) in [
             (0, 0, 64, 64),

@@ -1,5 +1,7 @@
 //! Noise without a period: every value is a hash of its place and a seed.
 
+use std::{array, iter};
+
 /// Mixes three numbers into 32 well-stirred bits (the finaliser of SplitMix64).
 #[inline]
 pub(super) fn hash(seed: u64, i: i64, j: i64) -> u32 {
@@ -55,6 +57,17 @@ pub(super) fn smoothstep(a: f32, b: f32, x: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
+/// The larger and the lesser of two numbers of which neither is NaN, which the library's look for.
+#[inline(always)]
+pub(super) fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+#[inline(always)]
+pub(super) fn lesser(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
 /// Length of a vector of moderate size.
 #[inline(always)]
 pub(super) fn norm(x: f32, y: f32) -> f32 {
@@ -63,7 +76,7 @@ pub(super) fn norm(x: f32, y: f32) -> f32 {
 
 /// Largest whole number not above `x`. The library's `floor` is a call on the oldest x86-64.
 #[inline(always)]
-fn floor_i64(x: f64) -> i64 {
+pub(super) fn floor_i64(x: f64) -> i64 {
     let k = x as i64;
     k - i64::from(x < k as f64)
 }
@@ -79,24 +92,33 @@ pub(super) fn mix(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
+/// The cell of a lattice that was looked at last, and the directions at its corners. Neighbouring places mostly share it.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Corners {
+    cell: Option<[i64; 2]>,
+    directions: [[f32; 2]; 4],
+}
+
 /// Gradient noise (Perlin, *Improving Noise*, SIGGRAPH 2002) of wavelength `wave_um`, about -1 to 1, standard deviation
-/// about 0.35. The lattice is turned by an angle of its own for every seed.
-pub(super) fn gradient(seed: u64, wave_um: f64, u: f64, v: f64) -> f32 {
+/// about 0.35. The lattice is turned by an angle of its own for every seed. `corners` are those of the same seed.
+pub(super) fn gradient(seed: u64, wave_um: f64, u: f64, v: f64, corners: &mut Corners) -> f32 {
     let (sin, cos) = turn(seed);
     let (x, y) = ((u * cos - v * sin) / wave_um, (u * sin + v * cos) / wave_um);
     let (i, j) = (floor_i64(x), floor_i64(y));
-    let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
-    let corner = |di: i64, dj: i64| {
+    if corners.cell != Some([i, j]) {
         // Sixteen directions are enough to hide the lattice.
-        let h = hash(seed, i + di, j + dj);
-        let [gx, gy] = DIRECTIONS[(h >> 28) as usize];
-        gx * (fx - di as f32) + gy * (fy - dj as f32)
-    };
+        corners.directions = [[0, 0], [1, 0], [0, 1], [1, 1]]
+            .map(|[di, dj]| DIRECTIONS[(hash(seed, i + di, j + dj) >> 28) as usize]);
+        corners.cell = Some([i, j]);
+    }
+    let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
+    let [a, b, c, d] = corners.directions;
+    let corner = |[gx, gy]: [f32; 2], di: f32, dj: f32| gx * (fx - di) + gy * (fy - dj);
     let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
     let (sx, sy) = (fade(fx), fade(fy));
     1.5 * mix(
-        mix(corner(0, 0), corner(1, 0), sx),
-        mix(corner(0, 1), corner(1, 1), sx),
+        mix(corner(a, 0.0, 0.0), corner(b, 1.0, 0.0), sx),
+        mix(corner(c, 0.0, 1.0), corner(d, 1.0, 1.0), sx),
         sy,
     )
 }
@@ -134,80 +156,203 @@ const DIRECTIONS: [[f32; 2]; 16] = {
 
 /// Value noise in three coordinates given in wavelengths, -1 to 1. One of them may run fast along a field and the
 /// others slowly across the plane: that draws fibres along the field's contours.
-#[inline]
-pub(super) fn strands(seed: u64, w: f32, x: f32, y: f32) -> f32 {
-    let (k, i, j) = (floor_i32(w), floor_i32(x), floor_i32(y));
-    let ease = |t: f32| t * t * (3.0 - 2.0 * t);
-    let (tw, tx, ty) = (ease(w - k as f32), ease(x - i as f32), ease(y - j as f32));
-    let at = |dk: i32, di: i32, dj: i32| {
-        let mut h = (seed as u32)
-            .wrapping_add(((k + dk) as u32).wrapping_mul(0x9E37_79B1))
-            .wrapping_add(((i + di) as u32).wrapping_mul(0x85EB_CA77))
-            .wrapping_add(((j + dj) as u32).wrapping_mul(0xC2B2_AE3D));
-        h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
-        h = (h ^ (h >> 12)).wrapping_mul(0x297A_2D39);
-        h ^= h >> 15;
-        (h as i32) as f32 * (1.0 / 2_147_483_648.0)
-    };
-    let plane = |dk| {
-        mix(
-            mix(at(dk, 0, 0), at(dk, 1, 0), tx),
-            mix(at(dk, 0, 1), at(dk, 1, 1), tx),
-            ty,
-        )
-    };
-    mix(plane(0), plane(1), tw)
+pub(super) struct Strands {
+    /// Wavelengths per unit of the first coordinate.
+    per_unit: f32,
+    /// The first node along it, and how many there are along the first two.
+    first: f32,
+    count: [usize; 2],
+    /// Where the columns and rows of the window lie between nodes: the node before, counted from the first, and how far.
+    columns: Vec<(usize, f32)>,
+    rows: Vec<(usize, f32)>,
+    /// The values at a node and at those below, to the right, and below that. The first coordinate runs fastest, then
+    /// the second.
+    nodes: Vec<[f32; 4]>,
 }
 
-/// Value noise on every sample of a window, smoothly interpolated between nodes `pitch` samples apart; -1 to 1.
-/// Column 0, row 0 of the window is sample (`i0`, `j0`) of the world.
-pub(super) fn lattice(seed: u64, pitch: usize, i0: i64, j0: i64, w: usize, h: usize) -> Vec<f32> {
-    let p = pitch as i64;
-    let (a0, b0) = (i0.div_euclid(p), j0.div_euclid(p));
-    let (off_i, off_j) = (i0.rem_euclid(p) as usize, j0.rem_euclid(p) as usize);
-    // A quadratic B-spline spans three nodes; it has no axis-aligned ridges, as linear interpolation would.
-    let weights: Vec<[f32; 3]> = (0..pitch)
-        .map(|k| {
-            let t = (k as f32 + 0.5) / pitch as f32;
-            [
-                0.5 * (1.0 - t) * (1.0 - t),
-                0.75 - (t - 0.5) * (t - 0.5),
-                0.5 * t * t,
-            ]
-        })
-        .collect();
-    let (columns, rows) = (
-        (off_i + w).div_ceil(pitch) + 2,
-        (off_j + h).div_ceil(pitch) + 2,
-    );
-    // Interpolated along the rows first, at the nodes' own rows.
-    let mut across = vec![0.0; rows * w];
-    let mut nodes = vec![0.0; columns];
-    for (r, line) in across.chunks_exact_mut(w).enumerate() {
-        for (c, node) in nodes.iter_mut().enumerate() {
-            *node = 2.0 * unit(hash(seed, a0 + c as i64 - 1, b0 + r as i64 - 1)) - 1.0;
+impl Strands {
+    /// For a window whose columns and rows lie at `u` and `v`, rising, and a field between the two `ends`.
+    pub(super) fn new(
+        seed: u64,
+        waves: [f32; 3],
+        ends: [f32; 2],
+        u: impl Iterator<Item = f32>,
+        v: impl Iterator<Item = f32>,
+    ) -> Self {
+        let [per_unit, per_u, per_v] = waves.map(|wave| 1.0 / wave);
+        let [k0, k1] = ends.map(|w| floor_i32(w * per_unit));
+        let (i0, columns) = between(u.map(|u| u * per_u));
+        let (j0, rows) = between(v.map(|v| v * per_v));
+        let count = |places: &[(usize, f32)]| places.last().map_or(0, |p| p.0 + 1);
+        let (along, across) = ((k1 - k0) as usize + 2, count(&columns));
+        let nodes = (0..count(&rows))
+            .flat_map(|j| (0..across).flat_map(move |i| (0..along).map(move |k| [k, i, j])))
+            .map(|[k, i, j]| {
+                [[0, 0], [0, 1], [1, 0], [1, 1]].map(|[di, dj]| {
+                    let [i, j] =
+                        [(i0, i + di), (j0, j + dj)].map(|(a, b)| a.wrapping_add(b as i32));
+                    node(seed, [k0 + k as i32, i, j])
+                })
+            })
+            .collect();
+        Self {
+            per_unit,
+            first: k0 as f32,
+            count: [along, across],
+            columns,
+            rows,
+            nodes,
         }
-        let (mut node, mut k) = (0, off_i);
-        for out in line {
-            let [wa, wb, wc] = weights[k];
-            *out = wa * nodes[node] + wb * nodes[node + 1] + wc * nodes[node + 2];
-            k += 1;
-            if k == pitch {
-                (k, node) = (0, node + 1);
+    }
+
+    /// The noise where the field has these values, from column `column` of row `row` on.
+    pub(super) fn block<const N: usize>(
+        &self,
+        field: &[f32; N],
+        column: usize,
+        row: usize,
+    ) -> [f32; N] {
+        let [along, across] = self.count;
+        let (j, ty) = self.rows[row];
+        let columns = &self.columns[column..column + N];
+        let w = field.map(|f| f * self.per_unit);
+        let k = w.map(floor_small);
+        let node = k.map(|k| bits_of_whole(k - self.first));
+        // At this and the next node along the field.
+        let (mut a, mut b) = ([0.0; N], [0.0; N]);
+        for (s, &(i, tx)) in columns.iter().enumerate() {
+            let at = (j * across + i) * along + node[s] as usize;
+            let (near, far) = (self.nodes[at], self.nodes[at + 1]);
+            let left = [near[0], far[0], near[1], far[1]];
+            let right = [near[2], far[2], near[3], far[3]];
+            let across: [f32; 4] = array::from_fn(|n| mix(left[n], right[n], tx));
+            a[s] = mix(across[0], across[2], ty);
+            b[s] = mix(across[1], across[3], ty);
+        }
+        array::from_fn(|s| mix(a[s], b[s], ease(w[s] - k[s])))
+    }
+}
+
+/// The value at a node, -1 to 1.
+fn node(seed: u64, [k, i, j]: [i32; 3]) -> f32 {
+    let mut h = (seed as u32)
+        .wrapping_add((k as u32).wrapping_mul(0x9E37_79B1))
+        .wrapping_add((i as u32).wrapping_mul(0x85EB_CA77))
+        .wrapping_add((j as u32).wrapping_mul(0xC2B2_AE3D));
+    h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
+    h = (h ^ (h >> 12)).wrapping_mul(0x297A_2D39);
+    h ^= h >> 15;
+    (h as i32) as f32 * (1.0 / 2_147_483_648.0)
+}
+
+/// Adding this to a small number leaves the nearest whole number in the low bits. Unlike a checked conversion it can be
+/// done several at once on any x86-64.
+pub(super) const ROUND: f32 = 12_582_912.0;
+
+/// Largest whole number not above a small `x`, several at once.
+#[inline(always)]
+fn floor_small(x: f32) -> f32 {
+    let nearest = (x + ROUND) - ROUND;
+    if nearest > x { nearest - 1.0 } else { nearest }
+}
+
+/// A small whole number, not negative, as an integer.
+#[inline(always)]
+fn bits_of_whole(x: f32) -> u32 {
+    (x + ROUND).to_bits() - ROUND.to_bits()
+}
+
+#[inline(always)]
+fn ease(t: f32) -> f32 {
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// The node before the first of these rising places, and for each the node before it, counted from there, and how far
+/// it lies on the way to the next.
+fn between(places: impl Iterator<Item = f32>) -> (i32, Vec<(usize, f32)>) {
+    let mut places = places.peekable();
+    let first = floor_i32(places.peek().copied().unwrap_or(0.0));
+    let between = places.map(|x| {
+        let i = floor_i32(x);
+        ((i - first) as usize, ease(x - i as f32))
+    });
+    (first, between.collect())
+}
+
+/// More than the noise of a [`Lattice`] is anywhere, either way.
+pub(super) const MOST: f32 = 1.01 * GAIN;
+
+/// A B-spline of white nodes keeps little variance; this brings the standard deviation to about 0.5.
+const GAIN: f32 = 1.6;
+
+/// Value noise on every sample of a window, smoothly interpolated between nodes `pitch` samples apart.
+pub(super) struct Lattice {
+    pitch: usize,
+    width: usize,
+    /// Rows of the window's first sample below the first node.
+    off: usize,
+    weights: Vec<[f32; 3]>,
+    /// Interpolated along the rows, at the nodes' own rows.
+    across: Vec<f32>,
+}
+
+impl Lattice {
+    /// Column 0, row 0 of the window is sample (`i0`, `j0`) of the world.
+    pub(super) fn new(seed: u64, pitch: usize, [i0, j0]: [i64; 2], [w, h]: [usize; 2]) -> Self {
+        let p = pitch as i64;
+        let (a0, b0) = (i0.div_euclid(p), j0.div_euclid(p));
+        let (off_i, off_j) = (i0.rem_euclid(p) as usize, j0.rem_euclid(p) as usize);
+        // A quadratic B-spline spans three nodes; it has no axis-aligned ridges, as linear interpolation would.
+        let weights: Vec<[f32; 3]> = (0..pitch)
+            .map(|k| {
+                let t = (k as f32 + 0.5) / pitch as f32;
+                [
+                    0.5 * (1.0 - t) * (1.0 - t),
+                    0.75 - (t - 0.5) * (t - 0.5),
+                    0.5 * t * t,
+                ]
+            })
+            .collect();
+        let (columns, rows) = (
+            (off_i + w).div_ceil(pitch) + 2,
+            (off_j + h).div_ceil(pitch) + 2,
+        );
+        let mut across = vec![0.0; rows * w];
+        let mut nodes = vec![0.0; columns];
+        for (r, line) in across.chunks_exact_mut(w).enumerate() {
+            for (c, node) in nodes.iter_mut().enumerate() {
+                *node = 2.0 * unit(hash(seed, a0 + c as i64 - 1, b0 + r as i64 - 1)) - 1.0;
+            }
+            let (head, tail) = line.split_at_mut((pitch - off_i).min(w));
+            let spans = iter::once((head, &weights[off_i..]))
+                .chain(tail.chunks_mut(pitch).map(|span| (span, &weights[..])));
+            for (three, (span, weights)) in nodes.windows(3).zip(spans) {
+                for (out, [wa, wb, wc]) in span.iter_mut().zip(weights) {
+                    *out = wa * three[0] + wb * three[1] + wc * three[2];
+                }
+            }
+        }
+        Self {
+            pitch,
+            width: w,
+            off: off_j,
+            weights,
+            across,
+        }
+    }
+
+    /// The noise of `out.len() / width` rows of the window from row `first` on.
+    pub(super) fn rows(&self, first: usize, out: &mut [f32]) {
+        let w = self.width;
+        for (j, line) in out.chunks_exact_mut(w).enumerate() {
+            let j = first + j + self.off;
+            let (node, k) = (j / self.pitch, j % self.pitch);
+            let [wa, wb, wc] = self.weights[k].map(|v| GAIN * v);
+            let rows = &self.across[node * w..(node + 3) * w];
+            let (a, b, c) = (&rows[..w], &rows[w..2 * w], &rows[2 * w..]);
+            for (i, o) in line.iter_mut().enumerate() {
+                *o = wa * a[i] + wb * b[i] + wc * c[i];
             }
         }
     }
-    // A B-spline of white nodes keeps little variance; this brings the standard deviation to about 0.5.
-    const GAIN: f32 = 1.6;
-    let mut out = vec![0.0; w * h];
-    for (j, line) in out.chunks_exact_mut(w).enumerate() {
-        let (node, k) = ((j + off_j) / pitch, (j + off_j) % pitch);
-        let [wa, wb, wc] = weights[k].map(|v| GAIN * v);
-        let rows = &across[node * w..(node + 3) * w];
-        let (a, b, c) = (&rows[..w], &rows[w..2 * w], &rows[2 * w..]);
-        for (i, o) in line.iter_mut().enumerate() {
-            *o = wa * a[i] + wb * b[i] + wc * c[i];
-        }
-    }
-    out
 }

@@ -3,14 +3,15 @@
 //! Nests are the cells of a warped Voronoi diagram with some neighbours merged. Everything is smooth, so that it can be
 //! evaluated every [`PITCH`] samples and interpolated.
 
-use super::noise::{Dice, gradient, hash, norm, smoothstep, unit};
+use super::noise::{Corners, Dice, floor_i64, gradient, hash, norm, smoothstep, unit};
+use std::ops::Range;
 
 /// Samples between two evaluations of the plan: 4 um.
 pub(super) const PITCH: i64 = 16;
 /// Distance of the finest samples, micrometres.
 pub(super) const SAMPLE_UM: f64 = 0.25;
 /// Distance of two evaluations, micrometres.
-const STEP_UM: f64 = PITCH as f64 * SAMPLE_UM;
+pub(super) const STEP_UM: f64 = PITCH as f64 * SAMPLE_UM;
 /// Distance of nest centres, micrometres.
 const NEST_UM: f64 = 225.0;
 
@@ -44,7 +45,7 @@ pub(super) struct Plan {
 impl Plan {
     /// Field by field between two plans.
     #[inline(always)]
-    fn mix(a: &Plan, b: &Plan, t: f32) -> Plan {
+    pub(super) fn mix(a: &Plan, b: &Plan, t: f32) -> Plan {
         let m = |x: f32, y: f32| x + (y - x) * t;
         Plan {
             depth: m(a.depth, b.depth),
@@ -62,165 +63,151 @@ impl Plan {
     }
 }
 
-/// The plan on a grid that covers a window and what reaches into it.
-pub(super) struct PlanGrid {
-    /// Grid node of the first entry.
-    i0: i64,
-    j0: i64,
-    columns: usize,
-    nodes: Vec<Plan>,
-}
-
-impl PlanGrid {
-    /// Covers samples `i0..i0 + w`, `j0..j0 + h` and `margin_um` around.
-    pub(super) fn new(seed: u64, [i0, j0]: [i64; 2], [w, h]: [usize; 2], margin_um: f64) -> Self {
-        let m = (margin_um / SAMPLE_UM).ceil() as i64;
-        let (a0, a1) = (
-            (i0 - m).div_euclid(PITCH),
-            (i0 + w as i64 + m).div_euclid(PITCH) + 1,
-        );
-        let (b0, b1) = (
-            (j0 - m).div_euclid(PITCH),
-            (j0 + h as i64 + m).div_euclid(PITCH) + 1,
-        );
-        let span = [a0, a1, b0, b1].map(|k| k as f64 * STEP_UM);
-        let (vessels, fat) = (vessels_near(seed, span), fat_near(seed, span));
-        let nodes = (b0..=b1)
-            .flat_map(|b| (a0..=a1).map(move |a| (a as f64 * STEP_UM, b as f64 * STEP_UM)))
-            .map(|(u, v)| {
-                let mut plan = nests(seed, u, v);
-                for disc in &vessels {
-                    plan.vessel = plan.vessel.max(disc.depth(u, v));
-                }
-                for disc in &fat {
-                    plan.fat = plan.fat.max(disc.depth(u, v));
-                }
-                plan
-            })
-            .collect();
-        Self {
-            i0: a0,
-            j0: b0,
-            columns: (a1 - a0 + 1) as usize,
-            nodes,
-        }
-    }
-
-    /// The plan at a place, micrometres.
-    pub(super) fn at(&self, u: f64, v: f64) -> Plan {
-        let (x, y) = (u / STEP_UM, v / STEP_UM);
-        let (i, j) = (x.floor(), y.floor());
-        let (tx, ty) = ((x - i) as f32, (y - j) as f32);
-        let at = (j as i64 - self.j0) as usize * self.columns + (i as i64 - self.i0) as usize;
-        let n = &self.nodes;
-        let upper = Plan::mix(&n[at], &n[at + 1], tx);
-        let lower = Plan::mix(&n[at + self.columns], &n[at + self.columns + 1], tx);
-        Plan::mix(&upper, &lower, ty)
-    }
-
-    /// Direction of the steepest rise of a field, as (cos, sin); (1, 0) where it is flat.
-    pub(super) fn rise(&self, u: f64, v: f64, field: impl Fn(&Plan) -> f32) -> [f32; 2] {
-        let e = 2.0;
-        let gx = field(&self.at(u + e, v)) - field(&self.at(u - e, v));
-        let gy = field(&self.at(u, v + e)) - field(&self.at(u, v - e));
-        let n = norm(gx, gy);
-        if n < 1e-6 {
-            [1.0, 0.0]
-        } else {
-            [gx / n, gy / n]
-        }
-    }
-
-    /// The plans of a row of samples from column `i0`.
-    pub(super) fn row(&self, i0: i64, j: i64, out: &mut [Plan]) {
-        let (b, ty) = (
-            j.div_euclid(PITCH),
-            (j.rem_euclid(PITCH) as f32 + 0.5) / PITCH as f32,
-        );
-        let line = (b - self.j0) as usize * self.columns;
-        let node = |a: i64| {
-            let at = line + (a - self.i0) as usize;
-            Plan::mix(&self.nodes[at], &self.nodes[at + self.columns], ty)
-        };
-        let mut done = 0;
-        while done < out.len() {
-            let i = i0 + done as i64;
-            let (a, k) = (i.div_euclid(PITCH), i.rem_euclid(PITCH));
-            let n = ((PITCH - k) as usize).min(out.len() - done);
-            let (left, right) = (node(a), node(a + 1));
-            for (s, o) in out[done..done + n].iter_mut().enumerate() {
-                *o = Plan::mix(&left, &right, (k as f32 + s as f32 + 0.5) / PITCH as f32);
+/// The plan at the nodes `columns`, `rows` of its grid, row by row.
+pub(super) fn plans(seed: u64, columns: Range<i64>, rows: Range<i64>) -> Vec<Plan> {
+    let ends = [columns.start, columns.end - 1, rows.start, rows.end - 1];
+    let span = ends.map(|k| k as f64 * STEP_UM);
+    let mut nests = Nests::new(seed);
+    let vessels = vessels_near(&mut nests, span);
+    let fat = fat_near(&mut nests, span);
+    rows.flat_map(|b| columns.clone().map(move |a| (a, b)))
+        .map(|(a, b)| {
+            let (u, v) = (a as f64 * STEP_UM, b as f64 * STEP_UM);
+            let mut plan = nests.at(u, v);
+            for disc in &vessels {
+                plan.vessel = plan.vessel.max(disc.depth(u, v));
             }
-            done += n;
+            for disc in &fat {
+                plan.fat = plan.fat.max(disc.depth(u, v));
+            }
+            plan
+        })
+        .collect()
+}
+
+/// The sites of the Voronoi cells around a place.
+struct Sites {
+    /// Column and row of the square of the jittered grid that the place lies in.
+    square: [i64; 2],
+    /// Where each site lies in its own square, and its group.
+    x: [f32; 25],
+    y: [f32; 25],
+    group: [u32; 25],
+}
+
+impl Sites {
+    fn around(seed: u64, [ci, cj]: [i64; 2]) -> Self {
+        let mut sites = Self {
+            square: [ci, cj],
+            x: [0.0; 25],
+            y: [0.0; 25],
+            group: [STROMA; 25],
+        };
+        for k in 0..25 {
+            let (i, j) = (ci + k as i64 % 5 - 2, cj + k as i64 / 5 - 2);
+            let h = hash(seed ^ 0xA11CE, i, j);
+            sites.x[k] = 0.12 + 0.76 * unit(h);
+            sites.y[k] = 0.12 + 0.76 * unit(h.wrapping_mul(0x9E37_79B1));
+            sites.group[k] = group(seed, i, j);
         }
+        sites
+    }
+    /// Half the way from the border between the groups to a place, in units of the squares, and the group there.
+    fn half_gap(&self, x: f64, y: f64) -> (f32, u32) {
+        let [ci, cj] = self.square;
+        let from = |x: f64, c: i64| [-2, -1, 0, 1, 2].map(|k| (x - (c + k) as f64) as f32);
+        let (xs, ys) = (from(x, ci), from(y, cj));
+        let sites: [(f32, u32); 25] = std::array::from_fn(|k| {
+            let (dx, dy) = (xs[k % 5] - self.x[k], ys[k / 5] - self.y[k]);
+            (NEST_UM as f32 * norm(dx, dy), self.group[k])
+        });
+        let nearest = sites
+            .iter()
+            .fold(sites[0], |a, &b| if b.0 < a.0 { b } else { a });
+        // Smooth minima round the corners where three nests meet.
+        let smooth_min = |same: bool| {
+            const K: f32 = 13.0;
+            let sum: f32 = sites
+                .iter()
+                .filter(|s| (s.1 == nearest.1) == same)
+                .map(|s| (-(s.0 - nearest.0) / K).exp())
+                .sum();
+            nearest.0 - K * sum.max(1e-30).ln()
+        };
+        let half_gap = 0.5 * (smooth_min(false) - smooth_min(true)).min(260.0);
+        (half_gap, nearest.1)
     }
 }
 
-/// Nests, glands, stroma and clefts: everything but the discs laid over them.
-fn nests(seed: u64, u: f64, v: f64) -> Plan {
-    let n = |k: u64, wave: f64| gradient(seed.wrapping_add(k), wave, u, v);
-    // Domain warp: the Voronoi cells lose their straight edges.
-    let wu = 70.0 * n(1, 310.0) + 26.0 * n(2, 110.0) + 9.0 * n(3, 41.0);
-    let wv = 70.0 * n(4, 290.0) + 26.0 * n(5, 103.0) + 9.0 * n(6, 43.0);
-    let (x, y) = ((u + f64::from(wu)) / NEST_UM, (v + f64::from(wv)) / NEST_UM);
-    let (ci, cj) = (x.floor() as i64, y.floor() as i64);
-    let mut sites = [(f32::INFINITY, 0_u32); 25];
-    for (k, site) in sites.iter_mut().enumerate() {
-        let (i, j) = (ci + k as i64 % 5 - 2, cj + k as i64 / 5 - 2);
-        let h = hash(seed ^ 0xA11CE, i, j);
-        let (px, py) = (
-            0.12 + 0.76 * unit(h),
-            0.12 + 0.76 * unit(h.wrapping_mul(0x9E37_79B1)),
-        );
-        let (dx, dy) = ((x - i as f64) as f32 - px, (y - j as f64) as f32 - py);
-        *site = (NEST_UM as f32 * norm(dx, dy), group(seed, i, j));
-    }
-    let nearest = sites
-        .iter()
-        .fold(sites[0], |a, &b| if b.0 < a.0 { b } else { a });
-    // Smooth minima round the corners where three nests meet.
-    let smooth_min = |same: bool| {
-        const K: f32 = 13.0;
-        let sum: f32 = sites
-            .iter()
-            .filter(|s| (s.1 == nearest.1) == same)
-            .map(|s| (-(s.0 - nearest.0) / K).exp())
-            .sum();
-        nearest.0 - K * sum.max(1e-30).ln()
-    };
-    let half_gap = 0.5 * (smooth_min(false) - smooth_min(true)).min(260.0);
-    let septum = 5.0 + 30.0 * smoothstep(-0.35, 0.6, n(7, 370.0)) + 5.0 * n(8, 60.0);
-    let stroma = nearest.1 == STROMA;
-    let depth = if stroma {
-        -half_gap - septum
-    } else {
-        half_gap - septum
-    };
+/// Nests, glands, stroma and clefts: everything but the discs laid over them. Keeps what neighbouring places share.
+struct Nests {
+    seed: u64,
+    /// Of every noise, by its number.
+    corners: [Corners; 33],
+    sites: Sites,
+}
 
-    let mut kind = Dice::new(seed ^ 0x61A9D, i64::from(nearest.1), 3);
-    let is_gland = kind.chance(0.4);
-    let wall = kind.range(19.0, 34.0);
-    let lumen = if is_gland && !stroma {
-        // Bridges of epithelium cross the wider lumens.
-        let bridge = 62.0 * (n(31, 120.0) + 0.15 * n(32, 45.0)).abs() - 9.0;
-        (depth - wall - 7.0 * n(9, 48.0)).min(bridge)
-    } else {
-        -60.0
-    };
-    let flow = 0.55 * depth + 60.0 * n(10, 170.0) + 17.0 * n(11, 55.0) + 5.0 * n(12, 23.0);
-    let crack = (n(13, 420.0) + 0.22 * n(14, 130.0) + 0.05 * n(19, 30.0)) * 300.0;
-    Plan {
-        depth,
-        lumen,
-        flow,
-        gland: if is_gland { 1.0 } else { 0.0 },
-        inflamed: smoothstep(-0.05, 0.5, n(15, 460.0) + 0.3 * n(20, 90.0)),
-        loose: smoothstep(-0.35, 0.45, n(16, 330.0) + 0.35 * n(21, 80.0)),
-        vessel: -40.0,
-        fat: -40.0,
-        cleft: 38.0 * (n(17, 520.0) - 0.24),
-        crack,
-        tone: n(18, 800.0) + 0.5 * n(22, 210.0),
+impl Nests {
+    fn new(seed: u64) -> Self {
+        Self {
+            seed,
+            corners: [Corners::default(); 33],
+            sites: Sites::around(seed, [0, 0]),
+        }
+    }
+
+    fn at(&mut self, u: f64, v: f64) -> Plan {
+        let Self {
+            seed,
+            corners,
+            sites,
+        } = self;
+        let seed = *seed;
+        let mut n = |k: usize, wave: f64| {
+            gradient(seed.wrapping_add(k as u64), wave, u, v, &mut corners[k])
+        };
+        // Domain warp: the Voronoi cells lose their straight edges.
+        let wu = 70.0 * n(1, 310.0) + 26.0 * n(2, 110.0) + 9.0 * n(3, 41.0);
+        let wv = 70.0 * n(4, 290.0) + 26.0 * n(5, 103.0) + 9.0 * n(6, 43.0);
+        let (x, y) = ((u + f64::from(wu)) / NEST_UM, (v + f64::from(wv)) / NEST_UM);
+        let square = [floor_i64(x), floor_i64(y)];
+        if sites.square != square {
+            *sites = Sites::around(seed, square);
+        }
+        let (half_gap, group) = sites.half_gap(x, y);
+        let septum = 5.0 + 30.0 * smoothstep(-0.35, 0.6, n(7, 370.0)) + 5.0 * n(8, 60.0);
+        let stroma = group == STROMA;
+        let depth = if stroma {
+            -half_gap - septum
+        } else {
+            half_gap - septum
+        };
+
+        let mut kind = Dice::new(seed ^ 0x61A9D, i64::from(group), 3);
+        let is_gland = kind.chance(0.4);
+        let wall = kind.range(19.0, 34.0);
+        let lumen = if is_gland && !stroma {
+            // Bridges of epithelium cross the wider lumens.
+            let bridge = 62.0 * (n(31, 120.0) + 0.15 * n(32, 45.0)).abs() - 9.0;
+            (depth - wall - 7.0 * n(9, 48.0)).min(bridge)
+        } else {
+            -60.0
+        };
+        let flow = 0.55 * depth + 60.0 * n(10, 170.0) + 17.0 * n(11, 55.0) + 5.0 * n(12, 23.0);
+        let crack = (n(13, 420.0) + 0.22 * n(14, 130.0) + 0.05 * n(19, 30.0)) * 300.0;
+        Plan {
+            depth,
+            lumen,
+            flow,
+            gland: if is_gland { 1.0 } else { 0.0 },
+            inflamed: smoothstep(-0.05, 0.5, n(15, 460.0) + 0.3 * n(20, 90.0)),
+            loose: smoothstep(-0.35, 0.45, n(16, 330.0) + 0.35 * n(21, 80.0)),
+            vessel: -40.0,
+            fat: -40.0,
+            cleft: 38.0 * (n(17, 520.0) - 0.24),
+            crack,
+            tone: n(18, 800.0) + 0.5 * n(22, 210.0),
+        }
     }
 }
 
@@ -268,15 +255,15 @@ fn places(span: [f64; 4], pitch_um: f64, reach_um: f64) -> impl Iterator<Item = 
     (j0..=j1).flat_map(move |j| (i0..=i1).map(move |i| (i, j)))
 }
 
-fn vessels_near(seed: u64, span: [f64; 4]) -> Vec<Disc> {
+fn vessels_near(nests: &mut Nests, span: [f64; 4]) -> Vec<Disc> {
     const PITCH_UM: f64 = 95.0;
     let mut found = Vec::new();
     for (i, j) in places(span, PITCH_UM, 90.0) {
-        let mut dice = Dice::new(seed ^ 0x7E55E1, i, j);
+        let mut dice = Dice::new(nests.seed ^ 0x7E55E1, i, j);
         let u = (i as f64 + f64::from(dice.next())) * PITCH_UM;
         let v = (j as f64 + f64::from(dice.next())) * PITCH_UM;
         let wanted = 6.0 + 34.0 * dice.next().powi(3);
-        let here = nests(seed, u, v);
+        let here = nests.at(u, v);
         let radius = wanted.min(0.75 * -here.depth);
         if radius < 5.5 || here.cleft - here.crack.abs() > -30.0 {
             continue;
@@ -293,17 +280,24 @@ fn vessels_near(seed: u64, span: [f64; 4]) -> Vec<Disc> {
     found
 }
 
-fn fat_near(seed: u64, span: [f64; 4]) -> Vec<Disc> {
+fn fat_near(nests: &mut Nests, span: [f64; 4]) -> Vec<Disc> {
     const PITCH_UM: f64 = 52.0;
     let mut found = Vec::new();
     for (i, j) in places(span, PITCH_UM, 80.0) {
-        let mut dice = Dice::new(seed ^ 0xFA7, i, j);
+        let mut dice = Dice::new(nests.seed ^ 0xFA7, i, j);
         let u = (i as f64 + 0.2 + 0.6 * f64::from(dice.next())) * PITCH_UM;
         let v = (j as f64 + 0.2 + 0.6 * f64::from(dice.next())) * PITCH_UM;
-        if gradient(seed.wrapping_add(30), 600.0, u, v) < 0.12 {
+        if gradient(
+            nests.seed.wrapping_add(30),
+            600.0,
+            u,
+            v,
+            &mut nests.corners[30],
+        ) < 0.12
+        {
             continue;
         }
-        let radius = dice.range(15.0, 29.0).min(-0.8 * nests(seed, u, v).depth);
+        let radius = dice.range(15.0, 29.0).min(-0.8 * nests.at(u, v).depth);
         if radius < 10.0 {
             continue;
         }

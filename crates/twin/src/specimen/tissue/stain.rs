@@ -3,6 +3,7 @@
 //! Optical densities (natural logarithm) add up, transmission is `exp(-density)`. The vectors lie near those that
 //! Macenko et al. (ISBI 2009) find in H&E sections.
 
+use super::noise::{ROUND, lesser};
 use crate::specimen::GLASS;
 
 /// Natural optical density of one unit of stain for red, green, blue.
@@ -18,29 +19,27 @@ pub(super) fn colour_row(hematoxylin: &[f32], eosin: &[f32], blood: &[f32], rgb:
         .zip(eosin.chunks(PORTION))
         .zip(blood.chunks(PORTION));
     for (((h, e), b), out) in portions.zip(rgb.chunks_mut(3 * PORTION)) {
-        for c in 0..3 {
+        // Channel by channel and apart from the bytes, so that several samples are computed at once.
+        let mut grey = [[0_u32; PORTION]; 3];
+        for (c, grey) in grey.iter_mut().enumerate() {
             let (kh, ke, kb, glass) = (HEMATOXYLIN[c], EOSIN[c], BLOOD[c], f32::from(GLASS[c]));
-            // Channel by channel and apart from the strided bytes, so that several samples are computed at once.
-            let mut grey = [0_u32; PORTION];
             for (g, ((&h, &e), &b)) in grey.iter_mut().zip(h.iter().zip(e).zip(b)) {
                 *g = (glass * exp_minus(h * kh + e * ke + b * kb) + ROUND).to_bits();
             }
-            for (o, &g) in out[c..].iter_mut().step_by(3).zip(&grey) {
-                // The low byte: transmissions are 0..=255.
-                *o = g as u8;
-            }
+        }
+        let [red, green, blue] = grey;
+        let channels = red.iter().zip(&green).zip(&blue);
+        for (out, ((&r, &g), &b)) in out.as_chunks_mut::<3>().0.iter_mut().zip(channels) {
+            // The low bytes: transmissions are 0..=255.
+            *out = [r as u8, g as u8, b as u8];
         }
     }
 }
 
-/// Adding this to a small number leaves the nearest whole number in the low bits. Unlike a checked conversion it can be
-/// done several at once on any x86-64.
-const ROUND: f32 = 12_582_912.0;
-
 /// `exp(-x)` for x >= 0 to 1e-5, in plain arithmetic.
 #[inline(always)]
 fn exp_minus(x: f32) -> f32 {
-    let t = (x * std::f32::consts::LOG2_E).min(60.0);
+    let t = lesser(x * std::f32::consts::LOG2_E, 60.0);
     let rounded = t + ROUND;
     let f = (rounded - ROUND) - t;
     let whole = rounded.to_bits() - ROUND.to_bits();
