@@ -3,6 +3,7 @@
 //! Over a whole period all other waves of what repeats itself vanish, whatever its shape. The middle of a cell is where it is darkest; of a
 //! bright pattern that lies between two of its cells, which is as good.
 
+use super::light::Light;
 use super::model::Model;
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Mat2, Vec2};
@@ -27,7 +28,7 @@ impl Cell {
     }
 }
 
-/// An image in the middle of which its cells are looked for.
+/// An image in which cells are looked for.
 pub(super) struct Flat {
     width: usize,
     height: usize,
@@ -36,21 +37,20 @@ pub(super) struct Flat {
 
 impl Flat {
     /// An image divided by its light.
-    pub(super) fn new(image: &GrayImage, light: impl Fn(Vec2) -> f64) -> Self {
+    pub(super) fn new(image: &GrayImage, light: &Light) -> Self {
         let (width, height) = (image.width(), image.height());
         let [cx, cy] = centre(width, height);
-        let at = |i: usize| [(i % width) as f64 - cx, (i / width) as f64 - cy];
-        let values = image.data().iter().enumerate();
+        let rows = image.data().chunks_exact(width).enumerate();
+        let values = rows.flat_map(|(y, row)| {
+            let light = light.along(y as f64 - cy);
+            let lit = row.iter().enumerate();
+            lit.map(move |(x, v)| f64::from(*v) / light(x as f64 - cx))
+        });
         Self {
             width,
             height,
-            values: values.map(|(i, v)| f64::from(*v) / light(at(i))).collect(),
+            values: values.collect(),
         }
-    }
-
-    pub(super) fn corner_px(&self) -> f64 {
-        let [x, y] = centre(self.width, self.height);
-        x.hypot(y)
     }
 
     /// Half the width and height of what lies around a cell, px.
@@ -78,23 +78,26 @@ impl Flat {
         let (mut total, mut sum) = (0.0, 0.0);
         // Of the image and of the window alone, so that the mean can be taken off afterwards.
         let (mut waves, mut of_window) = ([[0.0; 2]; 2], [[0.0; 2]; 2]);
+        // From a pixel to the next of a row the phases go on by the same.
+        let onwards = [0, 1].map(|k| turned(TAU * inverse.0[k][0]));
         for y in rows {
-            for x in columns.clone() {
-                let [u, v] = inverse * [x as f64 - cx - p[0], y as f64 - cy - p[1]];
+            let from = *columns.start();
+            let [mut u, mut v] = inverse * [from as f64 - cx - p[0], y as f64 - cy - p[1]];
+            let mut phases = [turned(TAU * u), turned(TAU * v)];
+            for value in &self.values[y * self.width..][columns.clone()] {
                 let weight = share(u, across_u) * share(v, across_v);
-                if weight == 0.0 {
-                    continue;
-                }
-                let value = weight * self.values[y * self.width + x];
-                total += weight;
-                sum += value;
-                for (k, phase) in [TAU * u, TAU * v].into_iter().enumerate() {
-                    let (s, c) = phase.sin_cos();
-                    for (i, part) in [c, -s].into_iter().enumerate() {
-                        waves[k][i] += value * part;
-                        of_window[k][i] += weight * part;
+                if weight > 0.0 {
+                    total += weight;
+                    sum += weight * value;
+                    for (k, phase) in phases.iter().enumerate() {
+                        for (i, part) in phase.iter().enumerate() {
+                            waves[k][i] += weight * value * part;
+                            of_window[k][i] += weight * part;
+                        }
                     }
                 }
+                (u, v) = (u + inverse.0[0][0], v + inverse.0[1][0]);
+                phases = [0, 1].map(|k| times(phases[k], onwards[k]));
             }
         }
         let mean = sum / total;
@@ -107,6 +110,23 @@ impl Flat {
             waves: [wave(0), wave(1)],
         })
     }
+}
+
+/// Cosine, and less the sine.
+fn turned(by: f64) -> Vec2 {
+    let (s, c) = by.sin_cos();
+    [c, -s]
+}
+
+/// The product of two complex numbers.
+fn times([a, b]: Vec2, [c, d]: Vec2) -> Vec2 {
+    [a * c - b * d, a * d + b * c]
+}
+
+/// Distance of an image's corner from its centre.
+pub(super) fn corner_px(width: usize, height: usize) -> f64 {
+    let [x, y] = centre(width, height);
+    x.hypot(y)
 }
 
 fn centre(width: usize, height: usize) -> Vec2 {

@@ -1,7 +1,7 @@
 //! From the middle of the image outwards: where the next cells should lie is known from those before, to much less than half a period.
 
 use super::NoGrid;
-use super::cells::{Cell, Flat};
+use super::cells::{Cell, Flat, corner_px};
 use super::fit::{GridFit, Node, fit_grid, fit_roughly};
 use super::light::Light;
 use super::model::Model;
@@ -42,8 +42,9 @@ pub(super) fn look_from(image: &GrayImage, basis: Mat2) -> Result<Seen, NoGrid> 
     if mean.is_nan() || mean <= 0.0 {
         return Err(NoGrid::NothingRepeats);
     }
-    let mut flat = Flat::new(image, |_| mean);
-    let corner_px = flat.corner_px();
+    let corner_px = corner_px(image.width(), image.height());
+    let mut light = Light::even(mean, corner_px);
+    let mut flat = Flat::new(image, &light);
     let windows = match image.data().len() as f64 / basis.det().abs() < FEW {
         true => Windows {
             step: 0.5,
@@ -54,7 +55,7 @@ pub(super) fn look_from(image: &GrayImage, basis: Mat2) -> Result<Seen, NoGrid> 
             share: 1.0,
         },
     };
-    let mut model = begin(&flat, basis)?;
+    let mut model = begin(&flat, basis, corner_px)?;
     let pitch_px = basis.det().abs().sqrt();
     let mut radius_px = FIRST * pitch_px;
     while radius_px < corner_px {
@@ -67,8 +68,7 @@ pub(super) fn look_from(image: &GrayImage, basis: Mat2) -> Result<Seen, NoGrid> 
         fit: None,
         in_view: 0,
     };
-    let mut light = Light::even(mean, corner_px);
-    for _ in 0..WHOLE {
+    for look in 1..=WHOLE {
         let cells = cells(&flat, &model, windows.step, corner_px);
         let nodes = nodes_of(&model, &cells);
         seen = Seen {
@@ -77,12 +77,15 @@ pub(super) fn look_from(image: &GrayImage, basis: Mat2) -> Result<Seen, NoGrid> 
         };
         let Some(fit) = &seen.fit else { break };
         model = fit.model;
+        if look == WHOLE {
+            break;
+        }
         let means = cells.iter().map(|(n, cell)| {
             let p = model.seen(*n);
             (p, cell.mean * light.at(p))
         });
         if let Some(better) = Light::through(&means.collect::<Vec<_>>(), windows.share, corner_px) {
-            flat = Flat::new(image, |p| better.at(p));
+            flat = Flat::new(image, &better);
             light = better;
         }
     }
@@ -90,8 +93,8 @@ pub(super) fn look_from(image: &GrayImage, basis: Mat2) -> Result<Seen, NoGrid> 
 }
 
 /// Where the grid lies about the image's centre: by the waves of all cells around it.
-fn begin(flat: &Flat, basis: Mat2) -> Result<Model, NoGrid> {
-    let model = Model::affine(basis, [0.0; 2], flat.corner_px());
+fn begin(flat: &Flat, basis: Mat2, corner_px: f64) -> Result<Model, NoGrid> {
+    let model = Model::affine(basis, [0.0; 2], corner_px);
     let around = cells(flat, &model, 0.5, FIRST * basis.det().abs().sqrt());
     let sum = |k: usize, i: usize| around.iter().map(|(_, cell)| cell.waves[k][i]).sum();
     let waves = [0, 1].map(|k| [0, 1].map(|i| sum(k, i)));

@@ -81,13 +81,22 @@ impl Light {
         })
     }
 
-    pub(super) fn at(&self, p: Vec2) -> f64 {
-        let terms = terms(p, self.corner_px);
-        self.coefficients
-            .iter()
-            .zip(terms)
-            .map(|(c, t)| c * t)
-            .sum()
+    pub(super) fn at(&self, [x, y]: Vec2) -> f64 {
+        self.along(y)(x)
+    }
+
+    /// Along a row, as a polynomial in x.
+    pub(super) fn along(&self, y: f64) -> impl Fn(f64) -> f64 {
+        let (mut of_x, y) = ([0.0; 5], y / self.corner_px);
+        for (c, [i, j]) in self.coefficients.iter().zip(POWERS) {
+            of_x[i as usize] += c * y.powi(j);
+        }
+        let corner_px = self.corner_px;
+        move |x| {
+            of_x.iter()
+                .rev()
+                .fold(0.0, |sum, c| sum * (x / corner_px) + c)
+        }
     }
 }
 

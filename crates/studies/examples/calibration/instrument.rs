@@ -4,7 +4,7 @@ use scopeservo_geometry::{Mat2, SplitMix64};
 use scopeservo_scope::{Axis, CancelToken, Clock, Instrument, StagePose, VirtualClock};
 use scopeservo_servo::Calibration;
 use scopeservo_studies::rounds::Outcome;
-use scopeservo_twin::specimen::Tissue;
+use scopeservo_twin::specimen::{Lattice, LatticeConfig, Specimen, Tissue};
 use scopeservo_twin::{Config, StageConfig, Twin};
 use std::sync::Arc;
 
@@ -85,14 +85,32 @@ impl Design {
         }
     }
 
+    /// The pitch of a grid that this objective shows well, um.
+    pub(crate) fn pitch_um(&self) -> f64 {
+        [100.0, 50.0, 20.0][self.objective]
+    }
+
+    /// Over a grid of dots, in focus.
+    pub(crate) fn bench_on_grid(&self, seed: u64) -> Outcome<Bench> {
+        let lattice = LatticeConfig {
+            pitch_um: self.pitch_um(),
+            ..LatticeConfig::default()
+        };
+        self.bench_over(Arc::new(Lattice::new(lattice)?), seed)
+    }
+
     /// Over tissue of its own, in focus.
     pub(crate) fn bench(&self, seed: u64) -> Outcome<Bench> {
+        self.bench_over(Arc::new(Tissue::new(seed)), seed)
+    }
+
+    fn bench_over(&self, specimen: Arc<dyn Specimen>, seed: u64) -> Outcome<Bench> {
         let mut config = self.config.clone();
         let optics = config.optics[self.objective].clone();
         config.optics = vec![optics];
         let skew = config.mount.skew;
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-        let twin = Twin::new(config, Arc::new(Tissue::new(seed)), seed, clock)?;
+        let twin = Twin::new(config, specimen, seed, clock)?;
         let scope = Instrument::new(twin.devices(), twin.rules(), CancelToken::new())?;
         let mut rng = SplitMix64::new(seed);
         let mut within = |half: f64| half * (2.0 * rng.uniform() - 1.0);

@@ -3,6 +3,8 @@
 //! `cargo run --release -p scopeservo-studies --example calibration -- table2 --rounds 50`
 //! `cargo run --release -p scopeservo-studies --example calibration -- instruments --count 400`
 //!
+//! `--method grid` does the same by a grid of dots, of 100, 50 and 20 um at 10x, 20x and 40x.
+//!
 //! Each round stands on other tissue. Every round is kept as a line of its own: a study that was broken off goes on. Beside the lines lies a
 //! page with plots, and the table as CSV. Exit code 1 when a bias exceeds 3 sd / sqrt(rounds), or when truths lie outside of what is stated.
 
@@ -25,7 +27,7 @@ use std::path::PathBuf;
 struct Args {
     #[command(subcommand)]
     study: Study,
-    /// joint, or the paper's two steps.
+    /// joint, the paper's two steps, or by a grid of dots.
     #[arg(long, global = true, default_value = "joint")]
     method: Method,
     /// Threads; all processors unless told.
@@ -59,6 +61,7 @@ enum Study {
 enum Method {
     Joint,
     TwoStep,
+    Grid,
 }
 
 /// The paper's by turns.
@@ -68,8 +71,9 @@ fn main() -> Outcome<()> {
     let args = Args::parse();
     let threads = threads(args.threads)?;
     let (method, method_name) = match args.method {
-        Method::Joint => (CalibrationMethod::Joint, "joint"),
-        Method::TwoStep => (CalibrationMethod::TwoStep, "two-step"),
+        Method::Joint => (Some(CalibrationMethod::Joint), "joint"),
+        Method::TwoStep => (Some(CalibrationMethod::TwoStep), "two-step"),
+        Method::Grid => (None, "grid"),
     };
     type Designer = fn(u64) -> Design;
     let (name, numbers, design): (&str, Vec<u64>, Designer) = match &args.study {
