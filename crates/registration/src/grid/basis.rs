@@ -1,10 +1,13 @@
 //! The two periods of a square grid, from how the image repeats itself.
 
-use super::{ANISOTROPY, NoGrid, SKEW_RAD};
+use super::types::NoGrid;
 use crate::period::{Peak, SelfLikeness};
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Mat2, Vec2};
 
+/// One period may be so many times the other, and the angle between them so far from a right one: pixels need be neither square nor upright.
+const ANISOTROPY: f64 = 1.12;
+const SKEW_RAD: f64 = 0.1;
 /// A whole period makes the image as alike as any other does, to this share. Half of one does not, and neither does a way along the lines of
 /// a grid of lines, where half of them stay.
 const AS_ALIKE: f64 = 0.75;

@@ -1,7 +1,7 @@
 //! Least squares of the map over the cells that were seen, without those that lie elsewhere than all others.
 
-use super::Term;
 use super::model::{DISTORTION, KEYSTONE, Model, UNKNOWNS};
+use super::types::Term;
 use scopeservo_geometry::{Cholesky, Vec2};
 
 /// Cells farther from where they should be than so many standard deviations are left out.

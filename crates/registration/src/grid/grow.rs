@@ -1,10 +1,10 @@
 //! From the middle of the image outwards: where the next cells should lie is known from those before, to much less than half a period.
 
-use super::NoGrid;
 use super::cells::{Cell, Flat, corner_px};
 use super::fit::{GridFit, Node, fit_grid, fit_roughly};
 use super::light::Light;
 use super::model::Model;
+use super::types::NoGrid;
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Mat2, Vec2};
 
@@ -37,7 +37,7 @@ struct Windows {
 }
 
 /// Looks at the grid with these two periods, px.
-pub(super) fn look_from(image: &GrayImage, basis: Mat2) -> Result<Seen, NoGrid> {
+pub(super) fn look_from(image: &GrayImage, basis: Mat2, needed: usize) -> Result<Seen, NoGrid> {
     let mean = image.data().iter().map(|v| f64::from(*v)).sum::<f64>() / image.data().len() as f64;
     if mean.is_nan() || mean <= 0.0 {
         return Err(NoGrid::NothingRepeats);
@@ -55,7 +55,8 @@ pub(super) fn look_from(image: &GrayImage, basis: Mat2) -> Result<Seen, NoGrid> 
             share: 1.0,
         },
     };
-    let mut model = begin(&flat, basis, corner_px)?;
+    let mut model =
+        begin(&flat, basis, corner_px).ok_or(NoGrid::TooFewNodes { found: 0, needed })?;
     let pitch_px = basis.det().abs().sqrt();
     let mut radius_px = FIRST * pitch_px;
     while radius_px < corner_px {
@@ -93,19 +94,16 @@ pub(super) fn look_from(image: &GrayImage, basis: Mat2) -> Result<Seen, NoGrid> 
 }
 
 /// Where the grid lies about the image's centre: by the waves of all cells around it.
-fn begin(flat: &Flat, basis: Mat2, corner_px: f64) -> Result<Model, NoGrid> {
+fn begin(flat: &Flat, basis: Mat2, corner_px: f64) -> Option<Model> {
     let model = Model::affine(basis, [0.0; 2], corner_px);
     let around = cells(flat, &model, 0.5, FIRST * basis.det().abs().sqrt());
     let sum = |k: usize, i: usize| around.iter().map(|(_, cell)| cell.waves[k][i]).sum();
     let waves = [0, 1].map(|k| [0, 1].map(|i| sum(k, i)));
     if around.is_empty() {
-        return Err(NoGrid::TooFewNodes {
-            found: 0,
-            needed: super::NEEDED,
-        });
+        return None;
     }
     let off = Cell { mean: 1.0, waves }.off();
-    Ok(Model {
+    Some(Model {
         offset_px: basis * off,
         ..model
     })

@@ -31,6 +31,35 @@ pub(super) struct SoFar {
     pub(super) residual: f64,
 }
 
+impl SoFar {
+    /// How far arrivals scatter, periods per coordinate, and how many coordinates tell it. What all views have in common is where the first
+    /// one really was, a single arrival: it says little of how they scatter, and is taken off.
+    pub(super) fn scatter(&self, kinematics: Kinematics, views: &[GridView]) -> (f64, f64) {
+        let Some(first) = views.first() else {
+            return (0.0, 0.0);
+        };
+        let (map, centre) = (self.lattice_from_stage, self.centre_m.unwrap_or_default());
+        let off: Vec<Vec2> = views[1..]
+            .iter()
+            .map(|v| {
+                let expected = predicted_b(kinematics, &first.pose, &v.pose, map, centre);
+                [0, 1].map(|k| v.way[k] - expected[k])
+            })
+            .collect();
+        let count = off.len() as f64;
+        let sum_sq = |k: usize| {
+            let mean = off.iter().map(|o| o[k]).sum::<f64>() / count;
+            off.iter().map(|o| (o[k] - mean).powi(2)).sum::<f64>()
+        };
+        let unknowns = 6 + 2 * usize::from(self.centre_m.is_some());
+        let freedom = 2.0 * count - unknowns as f64;
+        match freedom > 0.0 {
+            true => (((sum_sq(0) + sum_sq(1)) / freedom).sqrt(), freedom),
+            false => (0.0, 0.0),
+        }
+    }
+}
+
 /// The views as the mathematics of a calibration has them, with periods in place of pixels: moves without, and with a rotation.
 pub(super) fn observations(views: &[GridView]) -> [Vec<Observation>; 2] {
     let Some(first) = views.first() else {

@@ -1,6 +1,6 @@
 //! From where the grid was seen to the numbers: the optics by the pitch, the stage by how far it went.
 
-use super::follow::{GridView, SoFar, observations, so_far};
+use super::follow::{GridView, observations, so_far};
 use super::optics::{Quantity, column, off_square};
 use super::report::{GridReading, GridReport, Known, StageSeen};
 use crate::hand_eye::{covariance, explained_px};
@@ -99,10 +99,10 @@ pub(super) fn tell(given: &Given) -> Option<Told> {
         scatter: None,
     };
     let explained = explained_px(&first.pose, &blank, given.kinematics, given.pose_sigma);
-    let coordinates = 2 * (translations.len() + rotations.len());
-    let pose_sigma = given
-        .pose_sigma
-        .map(|s| s * scatter(&so_far, explained, coordinates));
+    // At each of two places.
+    let stated = explained / 2f64.sqrt();
+    let factor = scatter(stated, so_far.scatter(given.kinematics, given.views));
+    let pose_sigma = given.pose_sigma.map(|s| s * factor);
     let covariance = covariance(
         given.kinematics,
         &first.pose,
@@ -153,12 +153,9 @@ pub(super) fn tell(given: &Given) -> Option<Told> {
     })
 }
 
-/// So many times what the stage states it scatters: as it was seen, where that is known better.
-fn scatter(so_far: &SoFar, explained: f64, coordinates: usize) -> f64 {
-    let unknowns = 4 + 2 * usize::from(so_far.centre_m.is_some());
-    let freedom = coordinates.saturating_sub(unknowns) as f64;
-    let seen_sq = coordinates as f64 * so_far.residual.powi(2);
-    let factor = ((SAID + seen_sq / explained.powi(2)) / (SAID + freedom)).sqrt();
+/// So many times what is `stated` the stage scatters: as it was seen, where that is known better.
+fn scatter(stated: f64, (seen, freedom): (f64, f64)) -> f64 {
+    let factor = ((SAID + freedom * (seen / stated).powi(2)) / (SAID + freedom)).sqrt();
     if factor.is_finite() { factor } else { 1.0 }
 }
 

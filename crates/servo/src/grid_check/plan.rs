@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 const FIRST: f64 = 0.35;
 /// The next one goes so many times as far as the last, at most,
 const MOST: f64 = 8.0;
-/// and at least; a stage that scatters too much for that is none for this grid.
-const LEAST: f64 = 2.0;
+/// and at least. A stage that scatters too much for that, by a 28th of a period, is none for this grid: its first moves could be taken for
+/// longer ones.
+const LEAST: f64 = 2.8;
 /// No view lies farther than this from the axis of rotation, m; and no two are turned by more against each other, rad.
 const LEVER_M: f64 = 0.3;
 const WIDEST_RAD: f64 = 0.02;
@@ -24,10 +25,10 @@ pub(super) enum Move {
     Turn { by_rad: f64 },
 }
 
-/// How much farther than the last move, which arrived to within `sigma_m`, the next one may go: three standard deviations of where it is
-/// expected to end are a third of a period. `None` where that is no farther.
+/// How much farther than the last move the next one may go, when arrivals scatter by `sigma_m`: where it ends is then known to within half a
+/// period by three standard deviations, sqrt 2 times the scatter for each of the two. `None` where that is not enough.
 fn growth(pitch_m: f64, sigma_m: f64) -> Option<f64> {
-    let growth = pitch_m / (18.0 * sigma_m.max(1e-12));
+    let growth = pitch_m / (10.0 * sigma_m.max(1e-12));
     (growth >= LEAST).then(|| growth.min(MOST))
 }
 

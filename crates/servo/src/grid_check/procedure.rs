@@ -9,7 +9,7 @@ use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::{grab, gray};
-use crate::{ErrorKind, Event, FrameRole, ServoError, Sink};
+use crate::{Calibration, ErrorKind, Event, FrameRole, ServoError, Sink};
 use scopeservo_registration::{NoGrid, find_grid, follow_grid};
 use scopeservo_scope::{Axis, Instrument, Objective, ScopeError, StagePose};
 use serde::{Deserialize, Serialize};
@@ -49,6 +49,8 @@ impl Default for GridOptions {
 pub struct GridCheck {
     options: GridOptions,
     objective: Objective,
+    /// Standard deviations of arrivals from one side, where they are known better than the stage states: m, m, rad.
+    scatter: Option<[f64; 3]>,
     /// Where the stage stood when it began.
     start: Option<PlanarPose>,
     todo: VecDeque<Move>,
@@ -64,12 +66,26 @@ impl GridCheck {
         Self {
             options,
             objective,
+            scatter: None,
             start: None,
             todo: VecDeque::new(),
             views: Vec::new(),
             lost: None,
             lost_views: 0,
         }
+    }
+
+    /// With how arrivals were seen to scatter, as a calibration knows it: what a stage states has its play in it, which the moves here take up.
+    #[must_use]
+    pub fn knowing(mut self, calibration: &Calibration) -> Self {
+        self.scatter = calibration.scatter.filter(|s| s[0] > 0.0 && s[1] > 0.0);
+        self
+    }
+
+    /// Standard deviations of where arrivals end: m, m, rad.
+    fn pose_sigma(&self, scope: &Instrument) -> [f64; 3] {
+        self.scatter
+            .unwrap_or_else(|| pose_sigma(scope.gate().info()))
     }
 
     fn pitch_m(&self) -> f64 {
@@ -109,7 +125,7 @@ impl GridCheck {
                 return Err(ScopeError::NoSuchAxis { axis }.into());
             }
         }
-        let sigma = pose_sigma(scope.gate().info());
+        let sigma = self.pose_sigma(scope);
         let sigma_m = sigma[0].max(sigma[1]);
         let moves = translations(self.pitch_m(), sigma_m, 1e-6 * self.options.reach_um);
         let moves = moves.ok_or(ServoError::GridTooFineForStage {
@@ -194,7 +210,7 @@ impl GridCheck {
         if let (Move::Turn { by_rad }, Some([x, y])) = (last, known.and_then(|k| k.centre_m))
             && self.todo.is_empty()
         {
-            let [x_m, y_m, rad] = pose_sigma(info);
+            let [x_m, y_m, rad] = self.pose_sigma(scope);
             let (sigma, lever_m) = ((x_m.max(y_m), rad), x.hypot(y));
             let reach_m = 1e-6 * self.options.reach_um;
             self.todo = next_turns(self.pitch_m(), sigma, (by_rad, lever_m), reach_m).into();
@@ -224,7 +240,7 @@ impl GridCheck {
             image_size_px: [camera.width, camera.height],
             pitch_m: self.pitch_m(),
             kinematics: info.kinematics,
-            pose_sigma: pose_sigma(info),
+            pose_sigma: self.pose_sigma(scope),
             views: &self.views,
         };
         let told = told(&given).filter(|_| self.lost_views as f64 <= LOST * all);

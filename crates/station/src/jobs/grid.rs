@@ -70,13 +70,16 @@ impl GridJob {
     }
 
     fn told(&self, report: GridReport) -> GridOutput {
-        let known = self.input.calibrations.iter();
-        let mut of_it = known.filter(|c| c.objective == *report.objective());
+        let known = calibration_of(&self.input.calibrations, report.objective());
         GridOutput {
-            comparison: of_it.next().map(|c| compare_with(&report, c)),
+            comparison: known.map(|c| compare_with(&report, c)),
             report,
         }
     }
+}
+
+fn calibration_of<'a>(all: &'a [Calibration], objective: &ObjectiveId) -> Option<&'a Calibration> {
+    all.iter().find(|c| c.objective == *objective)
 }
 
 impl UseCase for GridJob {
@@ -98,6 +101,10 @@ impl UseCase for GridJob {
             State::Bring(bring, objective) => {
                 if let Progress::Done(_) = work.step(&mut **bring)? {
                     let check = GridCheck::new(objective.clone(), input.grid.clone());
+                    let check = match calibration_of(&input.calibrations, &objective.id) {
+                        Some(calibration) => check.knowing(calibration),
+                        None => check,
+                    };
                     self.state = State::Check(Box::new(check));
                 }
             }
