@@ -206,7 +206,8 @@ pub enum ServoError {
     },
     /// The stage scatters so much that it could not be told by how many periods it moved.
     #[error(
-        "the stage arrives to within {scatter_um:.2} um, and on a grid of {pitch_um} um it could not be told how many periods it went:          take a coarser grid, and an objective that shows it"
+        "the stage arrives to within {scatter_um:.2} um, and on a grid of {pitch_um} um it could not be told how many periods it went: \
+         take a coarser grid, and an objective that shows it"
     )]
     GridTooFineForStage {
         /// The pitch, um.
@@ -231,12 +232,16 @@ pub enum ServoError {
     },
     /// The stage does not go where it says.
     #[error(
-        "the stage does not go where it says: by the grid it goes {:.1} % wrong, and views lie {residual_px:.1} px off where {allowed_px:.1} px          would be its repeatability. Look at its unit and its steps per millimetre, and for lost steps or a slipping slide",
+        "the stage does not go where it says: by the grid it goes {:.1} % wrong, and views lie {residual_px:.1} px off where {allowed_px:.1} px \
+         would be its repeatability. Is the pitch {pitch_um} um? Else look at its unit and its steps per millimetre, and for lost steps or a \
+         slipping slide",
         100.0 * stretch
     )]
     GridStage {
         /// The active objective.
         objective: ObjectiveId,
+        /// The pitch that was told, um.
+        pitch_um: f64,
         /// Root mean square residual, px.
         residual_px: f64,
         /// What would have been accepted, px.

@@ -28,7 +28,7 @@ pub(crate) fn pitch_in_words(why: &NoGrid, pitch_um: f64, um_per_px: f64) -> Str
             seen_px * um_per_px
         ),
         NoGrid::TooFewNodes { .. } | NoGrid::TooFine { .. } => {
-            ". Take an objective or a grid with 12 pixels a period at least, and three periods in the shorter side".into()
+            ". Take an objective or a grid with 8 pixels a period at least, and three periods in the shorter side".into()
         }
         _ => ". Put in a pattern slide, in focus: dots, squares or crossing lines in squares".into(),
     }

@@ -197,6 +197,10 @@ fn what_shows_no_such_grid_is_refused_and_the_stage_comes_home_unless_it_was_sto
     let home = place(&bench);
     let said = check(&bench, 50.0, &mut NoSink).unwrap_err().to_string();
     assert!(said.contains("is the pitch 50 um"), "{said}");
+    // One that is near enough for the engraved scale is not for the stage.
+    let said = check(&bench, 22.0, &mut NoSink).unwrap_err().to_string();
+    assert!(said.contains("Is the pitch 22 um"), "{said}");
+    assert!(away_um(&bench, &home) < 1.0);
     // Something slides over the grid in the middle of it.
     let mut sink = Listener(|event: &Event| {
         if matches!(event, Event::CalibrationView { index: 4, .. }) {

@@ -70,7 +70,7 @@ pub(crate) struct FocusArgs {
 
 Put in a pattern slide, anywhere within the grid and turned by any angle. The answer has kx, ky and the camera's angle, distortion, tilt of the
 field, and how far the stage goes beside what it says. A calibration that is kept is compared with it, and stays as it is: exit code 3 when it
-disagrees, or when there is no such grid. A period must have 12 pixels or more, and the image three periods each way.")]
+disagrees, or when there is no such grid. A period must have 8 pixels or more, and the image three periods each way.")]
 pub(crate) struct GridArgs {
     #[command(flatten)]
     pub(crate) instrument: InstrumentArgs,

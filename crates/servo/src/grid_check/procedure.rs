@@ -19,8 +19,8 @@ use std::collections::VecDeque;
 const RUN_UP: [f64; 3] = [50e-6, 50e-6, 2e-4];
 /// Views that were not followed may be so many, at most, of all.
 const LOST: f64 = 0.4;
-/// A stage that goes farther than it says, or less far, by more than this is not one whose unit is right.
-const STRETCH: f64 = 0.25;
+/// A stage that goes farther than it says, or less far, by more than this has another unit, or the grid another pitch.
+const STRETCH: f64 = 0.05;
 
 /// Settings of a check with a pattern slide.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -255,6 +255,7 @@ impl GridCheck {
         if residual_px > allowed_px || stretch > STRETCH {
             return Err(ServoError::GridStage {
                 objective: self.objective.id.clone(),
+                pitch_um: self.options.pitch_um,
                 residual_px,
                 allowed_px,
                 stretch,
