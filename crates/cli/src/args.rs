@@ -42,6 +42,8 @@ pub(crate) enum Command {
     Calibrate(CalibrateArgs),
     /// Focus with the active objective.
     Focus(FocusArgs),
+    /// Check an objective, its calibration and the stage with a pattern slide: a grid of dots, squares or lines of known pitch.
+    Grid(GridArgs),
     /// The stage, through the rules of your file.
     #[command(subcommand)]
     Stage(StageCommand),
@@ -71,6 +73,7 @@ impl Command {
             Self::Doctor(args) => args.answer.json,
             Self::Calibrate(args) => args.answer.json,
             Self::Focus(args) => args.answer.json,
+            Self::Grid(args) => args.answer.json,
             Self::Resume(args) => args.answer.json,
             Self::Abandon(args) => args.answer.json,
             Self::Stage(StageCommand::Go(args)) => args.answer.json,

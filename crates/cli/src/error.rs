@@ -112,6 +112,7 @@ pub(crate) enum Code {
     PoorTarget,
     NothingMoves,
     Ambiguous,
+    GridFailed,
     NotKept,
     ForeignTarget,
     Interrupted,
@@ -140,7 +141,8 @@ impl Code {
             | Self::WrongObjective
             | Self::PoorTarget
             | Self::NothingMoves
-            | Self::Ambiguous => 3,
+            | Self::Ambiguous
+            | Self::GridFailed => 3,
             Self::NotKept
             | Self::ForeignTarget
             | Self::Blurred
@@ -236,6 +238,7 @@ fn servo_code(error: &ServoError) -> Code {
         ErrorCode::PoorTarget => Code::PoorTarget,
         ErrorCode::NothingMoves => Code::NothingMoves,
         ErrorCode::Ambiguous => Code::Ambiguous,
+        ErrorCode::GridFailed => Code::GridFailed,
         ErrorCode::OutsideLimits | ErrorCode::Refused => Code::Refused,
         ErrorCode::Interrupted => Code::Interrupted,
         ErrorCode::Fault => Code::Fault,

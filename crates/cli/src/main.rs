@@ -68,6 +68,7 @@ fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
         Command::Doctor(args) => doctor::run(&args, answer),
         Command::Calibrate(args) => commands::calibrate(&args, answer),
         Command::Focus(args) => commands::focus(&args, answer),
+        Command::Grid(args) => commands::grid(&args, answer),
         Command::Stage(StageCommand::Go(args)) => stage::go(&args, answer),
         Command::Target(TargetCommand::Save(args)) => commands::save_target(&args, answer),
         Command::Target(TargetCommand::List(args)) => targets::list_targets(&args, answer),

@@ -18,6 +18,7 @@
 
 mod contest;
 mod correspondences;
+mod grid;
 pub mod likeness;
 mod options;
 mod outcome;
@@ -31,6 +32,7 @@ pub mod significance;
 
 pub use contest::undecided;
 pub use correspondences::Correspondences;
+pub use grid::{Grid, NoGrid, Term, find_grid, follow_grid};
 pub use options::{Method, Options};
 pub use outcome::{Estimate, NotFound, Registration};
 pub use period::periods;

@@ -23,72 +23,125 @@ const MOST: usize = 4;
 /// The shortest shifts, in pixels, under which the image looks like itself; of each and its opposite one is told. Empty for what does not
 /// repeat.
 pub fn periods(image: &GrayImage) -> Vec<Vec2> {
-    // Of a large image every second, third... pixel of the blurred one: memory grows with the square.
-    let every = (1..)
-        .find(|f| (image.width() / f) * (image.height() / f) <= MOST_PIXELS)
-        .unwrap_or(1);
-    let (width, height) = (image.width() / every, image.height() / every);
-    if width < 16 || height < 16 {
+    let Some(likeness) = SelfLikeness::of(image) else {
         return Vec::new();
-    }
-    let plane = Plane::band(image, every as f64);
-    let values: Vec<f32> = (0..width * height)
-        .map(|i| plane.values()[(i / width) * every * image.width() + (i % width) * every])
-        .collect();
-    let hann = |k: usize, n: usize| {
-        0.5 - 0.5 * (std::f64::consts::TAU * (k as f64 + 0.5) / n as f64).cos()
     };
-    let window: Vec<f64> = (0..width * height)
-        .map(|i| hann(i % width, width) * hann(i / width, height))
-        .collect();
-    let total: f64 = window.iter().sum();
-    let mean = window
-        .iter()
-        .zip(&values)
-        .map(|(w, &v)| w * f64::from(v))
-        .sum::<f64>()
-        / total;
-    let weighted: Vec<f64> = window
-        .iter()
-        .zip(&values)
-        .map(|(w, &v)| w * (f64::from(v) - mean))
-        .collect();
-    let size = [2 * width, 2 * height];
-    let own = autocorrelation(&weighted, [width, height]);
-    let of_window = autocorrelation(&window, [width, height]);
-    if own[0] <= 0.0 {
-        return Vec::new();
+    let every = likeness.every as f64;
+    let nearest = likeness.peaks().into_iter().take(MOST);
+    nearest.map(|p| p.shift.map(|v| v as f64 * every)).collect()
+}
+
+/// How alike an image is to itself, shifted by whole samples.
+pub(crate) struct SelfLikeness {
+    own: Vec<f64>,
+    /// What the window has in common with itself, shifted along x and along y.
+    overlap: [Vec<f64>; 2],
+    /// Of what is padded.
+    size: [usize; 2],
+    /// Distance of two samples, pixels.
+    pub(crate) every: usize,
+}
+
+/// A shift under which an image is more like itself than under those around.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Peak {
+    /// x, y in samples.
+    pub(crate) shift: [i64; 2],
+    /// 1 for what is the same.
+    pub(crate) height: f64,
+}
+
+impl SelfLikeness {
+    /// `None` for an image too small to tell, or without anything in it.
+    pub(crate) fn of(image: &GrayImage) -> Option<Self> {
+        // Of a large image every second, third... pixel of the blurred one: memory grows with the square.
+        let every = (1..)
+            .find(|f| (image.width() / f) * (image.height() / f) <= MOST_PIXELS)
+            .unwrap_or(1);
+        let (width, height) = (image.width() / every, image.height() / every);
+        if width < 16 || height < 16 {
+            return None;
+        }
+        let plane = Plane::band(image, every as f64);
+        let values: Vec<f32> = (0..width * height)
+            .map(|i| plane.values()[(i / width) * every * image.width() + (i % width) * every])
+            .collect();
+        let hann = |k: usize, n: usize| {
+            0.5 - 0.5 * (std::f64::consts::TAU * (k as f64 + 0.5) / n as f64).cos()
+        };
+        let windows = [width, height].map(|n| (0..n).map(|k| hann(k, n)).collect::<Vec<f64>>());
+        let window: Vec<f64> = (0..width * height)
+            .map(|i| windows[0][i % width] * windows[1][i / width])
+            .collect();
+        let total: f64 = window.iter().sum();
+        let mean = window
+            .iter()
+            .zip(&values)
+            .map(|(w, &v)| w * f64::from(v))
+            .sum::<f64>()
+            / total;
+        let weighted: Vec<f64> = window
+            .iter()
+            .zip(&values)
+            .map(|(w, &v)| w * (f64::from(v) - mean))
+            .collect();
+        let own = autocorrelation(&weighted, [width, height]);
+        (own[0] > 0.0).then_some(Self {
+            own,
+            overlap: windows.map(|w| overlap(&w)),
+            size: [2 * width, 2 * height],
+            every,
+        })
     }
-    // Shift (x, y), x from -width to width, y from 0 on: the other half is its mirror image.
-    let at = |x: i64, y: i64| {
-        let column = x.rem_euclid(size[0] as i64) as usize;
-        let row = y.rem_euclid(size[1] as i64) as usize;
-        let overlap = of_window[row * size[0] + column] / of_window[0];
+
+    /// Under a shift (x, y), x from -width to width, y from 0 on: the other half is its mirror image. Minus infinity where too little is left
+    /// to compare.
+    pub(crate) fn at(&self, x: i64, y: i64) -> f64 {
+        let column = x.rem_euclid(self.size[0] as i64) as usize;
+        let row = y.rem_euclid(self.size[1] as i64) as usize;
+        let along = |k: usize, by: i64| self.overlap[k].get(by.unsigned_abs() as usize);
+        let overlap = along(0, x).zip(along(1, y)).map_or(0.0, |(a, b)| a * b);
         match overlap >= LEAST_OVERLAP {
-            true => own[row * size[0] + column] / own[0] / overlap,
+            true => self.own[row * self.size[0] + column] / self.own[0] / overlap,
             false => f64::NEG_INFINITY,
         }
-    };
-    let (reach_x, reach_y) = (width as i64 / 2, height as i64 / 2);
-    let mut peaks: Vec<(f64, Vec2)> = Vec::new();
-    for y in 0..reach_y {
-        for x in -reach_x..reach_x {
-            let length = f64::hypot(x as f64, y as f64);
-            let here = at(x, y);
-            if here < ALIKE || length < SHORTEST_PX || (y == 0 && x < 0) {
-                continue;
-            }
-            let around = (-1..=1).flat_map(|j| (-1..=1).map(move |i| (i, j)));
-            let highest = around
-                .filter(|d| *d != (0, 0))
-                .all(|(i, j)| at(x + i, y + j) <= here);
-            if highest {
-                peaks.push((length, [x, y].map(|v| (v * every as i64) as f64)));
+    }
+
+    /// The peaks up to half of the image's sides, the nearest first; of each and its opposite one.
+    pub(crate) fn peaks(&self) -> Vec<Peak> {
+        let [reach_x, reach_y] = self.size.map(|n| n as i64 / 4);
+        let length = |[x, y]: [i64; 2]| f64::hypot(x as f64, y as f64);
+        let mut peaks = Vec::new();
+        for y in 0..reach_y {
+            for x in -reach_x..reach_x {
+                let height = self.at(x, y);
+                if height < ALIKE || length([x, y]) < SHORTEST_PX || (y == 0 && x < 0) {
+                    continue;
+                }
+                let around = (-1..=1).flat_map(|j| (-1..=1).map(move |i| (i, j)));
+                let highest = around
+                    .filter(|d| *d != (0, 0))
+                    .all(|(i, j)| self.at(x + i, y + j) <= height);
+                if highest {
+                    peaks.push(Peak {
+                        shift: [x, y],
+                        height,
+                    });
+                }
             }
         }
+        peaks.sort_by(|a, b| length(a.shift).total_cmp(&length(b.shift)));
+        peaks
     }
-    peaks.sort_by(|a, b| a.0.total_cmp(&b.0));
-    peaks.into_iter().take(MOST).map(|p| p.1).collect()
+}
+
+/// The autocorrelation of a window, 1 for no shift.
+fn overlap(window: &[f64]) -> Vec<f64> {
+    let at = |shift: usize| -> f64 {
+        let pairs = window.iter().zip(&window[shift..]);
+        pairs.map(|(a, b)| a * b).sum()
+    };
+    (0..window.len()).map(|shift| at(shift) / at(0)).collect()
 }
 
 /// Of an image of `size`, padded by as much of nothing: no shift wraps around.

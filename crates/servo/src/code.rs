@@ -36,6 +36,8 @@ pub enum ErrorCode {
     NothingMoves,
     /// Another place looks the same.
     Ambiguous,
+    /// No grid of that pitch was seen, or the stage could not be followed on it.
+    GridFailed,
     /// The way leads past a rule of the motion gate.
     OutsideLimits,
     /// The instrument does not do it for another reason.
@@ -70,7 +72,8 @@ impl ErrorCode {
             | Self::WrongObjective
             | Self::PoorTarget
             | Self::NothingMoves
-            | Self::Ambiguous => ErrorKind::Answer,
+            | Self::Ambiguous
+            | Self::GridFailed => ErrorKind::Answer,
             Self::OutsideLimits | Self::Refused => ErrorKind::Refusal,
             Self::Interrupted => ErrorKind::Interruption,
             Self::Fault | Self::Internal => ErrorKind::Fault,
@@ -104,6 +107,10 @@ impl ServoError {
             Self::PoorTarget { .. } | Self::NothingToFollow => ErrorCode::PoorTarget,
             Self::NothingMoves { .. } => ErrorCode::NothingMoves,
             Self::Repeats { .. } => ErrorCode::Ambiguous,
+            Self::NoGrid { .. }
+            | Self::GridTooFineForStage { .. }
+            | Self::GridUnfollowed { .. }
+            | Self::GridStage { .. } => ErrorCode::GridFailed,
             Self::MovesTooFar { .. } => ErrorCode::Refused,
             Self::StaysNear { .. } => ErrorCode::Fault,
             Self::Features(_) | Self::CannotGoOn(_) => ErrorCode::Internal,

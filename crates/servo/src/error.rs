@@ -1,8 +1,8 @@
 //! What can stop a procedure.
 
-use crate::words::{rival_in_words, way_in_words};
+use crate::words::{pitch_in_words, rival_in_words, way_in_words};
 use scopeservo_features::FeatureError;
-use scopeservo_registration::{NotFound, Rival};
+use scopeservo_registration::{NoGrid, NotFound, Rival};
 use scopeservo_scope::{Axis, ObjectiveId, ScopeError};
 use thiserror::Error;
 
@@ -294,6 +294,65 @@ pub enum ServoError {
         rival: Rival,
         /// Size of a pixel, um, if known.
         um_per_px: Option<f64>,
+    },
+    /// No grid that could be measured with.
+    #[error(
+        "no grid of {pitch_um} um was seen with {objective}: {why}{}", pitch_in_words(why, *pitch_um, *um_per_px)
+    )]
+    NoGrid {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// The pitch that was told, um.
+        pitch_um: f64,
+        /// The nominal size of a pixel, um.
+        um_per_px: f64,
+        /// Why.
+        why: NoGrid,
+    },
+    /// The stage scatters so much that it could not be told by how many periods it moved.
+    #[error(
+        "the stage arrives to within {scatter_um:.2} um, and on a grid of {pitch_um} um it could not be told how many periods it went: \
+         take a coarser grid, and an objective that shows it"
+    )]
+    GridTooFineForStage {
+        /// The pitch, um.
+        pitch_um: f64,
+        /// Standard deviation of its arrivals, um.
+        scatter_um: f64,
+    },
+    /// The grid was not seen again after the stage had moved.
+    #[error(
+        "the grid could be followed in {followed} of {views} views with {objective}{}. See that the grid is large enough, level and held",
+        why.map_or(String::new(), |why| format!(", the last time because {why}"))
+    )]
+    GridUnfollowed {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// Views in which it was.
+        followed: usize,
+        /// All views.
+        views: usize,
+        /// Why not in the last one that was lost; `None` where it may have been a period off.
+        why: Option<NoGrid>,
+    },
+    /// The stage does not go where it says.
+    #[error(
+        "the stage does not go where it says: by the grid it goes {:.1} % wrong, and views lie {residual_px:.1} px off where {allowed_px:.1} px \
+         would be its repeatability. Is the pitch {pitch_um} um? Else look at its unit and its steps per millimetre, and for lost steps or a \
+         slipping slide",
+        100.0 * stretch
+    )]
+    GridStage {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// The pitch that was told, um.
+        pitch_um: f64,
+        /// Root mean square residual, px.
+        residual_px: f64,
+        /// What would have been accepted, px.
+        allowed_px: f64,
+        /// How much farther than it says, or less far, relative: the larger of x and y.
+        stretch: f64,
     },
     /// Something failed, and the stage could not be taken back from the specimen to where the command began.
     #[error(

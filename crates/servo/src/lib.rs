@@ -24,6 +24,7 @@ mod compact;
 mod error;
 mod event;
 mod focus;
+mod grid_check;
 mod hand_eye;
 mod identify;
 mod identity;
@@ -49,6 +50,10 @@ pub use code::{ErrorCode, ErrorKind, Remedy};
 pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};
 pub use focus::{Focus, FocusMeasure, FocusOptions, FocusResult, Measure, sharpness};
+pub use grid_check::{
+    Compared, Comparison, GridCheck, GridOptions, GridReading, GridReport, Known, Quantity,
+    StageSeen, compare_with,
+};
 pub use hand_eye::{Observation, solve_hand_eye};
 pub use identify::Identify;
 pub use identity::Identity;

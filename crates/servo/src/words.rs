@@ -1,6 +1,6 @@
 //! Words for people that errors and answers share.
 
-use scopeservo_registration::Rival;
+use scopeservo_registration::{NoGrid, Rival};
 use scopeservo_scope::Axis;
 
 /// What a rival is, for people: the way from one place to the other that looks like it.
@@ -25,5 +25,20 @@ pub(crate) fn way_in_words(axis: Axis, si: f64) -> String {
     match axis.is_rotation() {
         true => format!("{:.2} deg", si.to_degrees()),
         false => format!("{:.0} um", si * 1e6),
+    }
+}
+
+/// What another pitch than the one that was told may be, by the nominal size of a pixel.
+pub(crate) fn pitch_in_words(why: &NoGrid, pitch_um: f64, um_per_px: f64) -> String {
+    match why {
+        NoGrid::OtherPitch { seen_px, .. } => format!(
+            ". By the engraved scale it has {:.1} um: is the pitch {pitch_um} um, and is this the objective? (On a chequer board the pitch \
+             is the way to the next square of one colour, the diagonal of a square)",
+            seen_px * um_per_px
+        ),
+        NoGrid::TooFewNodes { .. } | NoGrid::TooFine { .. } => {
+            ". Take an objective or a grid with 8 pixels a period at least, and three periods in the shorter side".into()
+        }
+        _ => ". Put in a pattern slide, in focus: dots, squares or crossing lines in squares".into(),
     }
 }

@@ -7,6 +7,7 @@ use scopeservo_twin::{
     TwinError,
 };
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -37,6 +38,9 @@ pub struct TwinConfig {
     /// Whether the camera mirrors.
     #[serde(default)]
     pub mirrored: bool,
+    /// Radial distortion of objectives by their names: how far the corner of the image is moved out, relative (0.002 is 0.2 %). None without.
+    #[serde(default)]
+    pub distortion: BTreeMap<String, f64>,
     /// Its camera, with its noise, its dust and what it writes into the image; the usual one without.
     #[serde(default)]
     pub camera: CameraConfig,
@@ -76,6 +80,7 @@ impl Default for TwinConfig {
             stage: TwinStage::default(),
             objectives: None,
             mirrored: false,
+            distortion: BTreeMap::new(),
             camera: CameraConfig::default(),
             real_time: false,
         }
@@ -108,14 +113,25 @@ impl TwinConfig {
         });
         make.mount.mirrored = self.mirrored;
         make.camera = self.camera.clone();
+        let known: Vec<String> = make.optics.iter().map(|o| o.id.0.clone()).collect();
+        let named = self.objectives.iter().flatten();
+        if let Some(id) = named
+            .chain(self.distortion.keys())
+            .find(|id| !known.contains(id))
+        {
+            let known = known.join(", ");
+            return Err(bad(format!(
+                "the twin has no objective {id}; it has {known}"
+            )));
+        }
+        for optics in &mut make.optics {
+            optics.distortion = self
+                .distortion
+                .get(&optics.id.0)
+                .copied()
+                .unwrap_or_default();
+        }
         if let Some(wanted) = &self.objectives {
-            let known: Vec<String> = make.optics.iter().map(|o| o.id.0.clone()).collect();
-            if let Some(id) = wanted.iter().find(|id| !known.contains(id)) {
-                let known = known.join(", ");
-                return Err(bad(format!(
-                    "the twin has no objective {id}; it has {known}"
-                )));
-            }
             make.optics.retain(|o| wanted.contains(&o.id.0));
         }
         let [x, y] = self.centre_um;

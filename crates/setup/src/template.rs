@@ -106,12 +106,14 @@ seed = 1
 # specimen = "slide.png"          # procedural tissue without
 # um_per_px = 0.5
 # made.lattice = { kind = "hexagonal", pitch_um = 12, disorder = 0.05 }   # or blank, sparse, twice instead of tissue
+# made.lattice = { kind = "lines", pitch_um = 20, fill = 0.1 }            # a pattern slide for `scopeservo grid`
 # camera.dust = [{ specks = 40, radius_px = [2, 20], steepness = [1, 60] }]   # on the camera; also camera.marks, camera.pattern
 centre_um = [0, 0]                # what lies under the view's centre at the start
 turned_deg = 0
 # stage = "hexapod"               # or "xyz-theta", "xyz", "xy"
 # objectives = ["10x", "40x"]     # of 10x, 20x, 40x
 # mirrored = true                 # the camera's picture is mirrored
+# distortion = { "40x" = 0.002 }  # moves the corner of the picture out by 0.2 %
 # real_time = true                # motion takes as long as it would
 
 [devices]

@@ -56,6 +56,10 @@ pub struct ObjectiveConfig {
     /// Share of the light that spherical aberration spreads into a halo when the objective is too close, 0..1.
     #[serde(default)]
     pub spherical: f64,
+    /// Radial distortion: a point that would lie at r from the middle is seen at `r (1 + distortion (r / r_corner)^2)`. 0.002 moves the
+    /// corner out by 0.2 % (pincushion), negative values in (barrel). Scales are those of the middle.
+    #[serde(default)]
+    pub distortion: f64,
 }
 
 fn one() -> f64 {
@@ -209,6 +213,10 @@ impl ObjectiveConfig {
                 && self.gradient.iter().all(|g| g.abs() < 0.5)
                 && finite(&self.chromatic_dof),
             &format!("optics {id}: vignetting and spherical are 0..1, gradients below 0.5"),
+        )?;
+        require(
+            self.distortion.abs() <= 0.05,
+            &format!("optics {id}: distortion is -0.05 to 0.05 at the corner"),
         )
     }
 }
@@ -228,6 +236,7 @@ fn paper_objectives() -> Vec<ObjectiveConfig> {
             gradient: [0.03, -0.02],
             chromatic_dof: [0.3, 0.0, -0.35],
             spherical: 0.35,
+            distortion: 0.0,
         };
     vec![
         objective("10x", 100.0, 0.25, 2.2, -448672.0, -451767.0, 1.0, 0.12),
@@ -291,13 +300,15 @@ mod tests {
     #[test]
     fn nonsense_is_refused_with_the_field() {
         type Breakage = fn(&mut Config);
-        let break_it: [(&str, Breakage); 8] = [
+        let break_it: [(&str, Breakage); 10] = [
             ("optics", |c| c.optics.clear()),
             ("called 10x", |c| c.optics.push(c.optics[0].clone())),
             ("numerical_aperture", |c| {
                 c.optics[0].numerical_aperture = 1.4
             }),
             ("optics 20x", |c| c.optics[1].kx_px_per_m = f64::NAN),
+            ("optics 40x: distortion", |c| c.optics[2].distortion = 0.06),
+            ("distortion", |c| c.optics[0].distortion = f64::NAN),
             ("bit_depth", |c| c.camera.bit_depth = 17),
             ("exposure_range_ms", |c| c.camera.exposure_ms = 2000.0),
             ("mount", |c| c.mount.eta_mm[0] = f64::INFINITY),

@@ -2,7 +2,8 @@
 
 use crate::inner::{Inner, State};
 use crate::optics::View;
-use crate::render::{Planes, Scene, blend, instants, render};
+use crate::render::{blend, instants, render};
+use crate::scene::{Planes, Scene};
 use crate::sensor::Exposure;
 use crate::slide::Effects;
 use crate::specimen::Specimen;

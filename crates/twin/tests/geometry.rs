@@ -270,3 +270,34 @@ fn coarse_specimens_are_interpolated_at_the_right_place() {
     let error = (seen[0] - expected[0]).hypot(seen[1] - expected[1]);
     assert!(error < 0.02, "{seen:?} {expected:?}");
 }
+
+#[test]
+fn distortion_moves_a_dot_out_by_its_cube_and_an_undistorted_picture_not_at_all() {
+    let (at, k) = ([700.0, -300.0], 0.004);
+    let frame = |distortion: f64, corner: [f64; 2]| {
+        let mut config = clean(StageConfig::hexapod());
+        config.optics[0].distortion = distortion;
+        let bench = Bench::new(config, dot(at, 13.0));
+        bench.select("10x");
+        let um = bench.twin.truth_now().um_per_px;
+        bench
+            .twin
+            .centre_specimen([at[0] + corner[0] * um, at[1] + corner[1] * um], 0.0);
+        bench.focus(0.0);
+        let frame = bench.grab();
+        let truth = bench.twin.truth(frame.sequence).unwrap();
+        (pixel(truth.specimen_from_pixel, at), centroid(&frame))
+    };
+    for corner in [[0.0, 0.0], [0.0, 250.0], [150.0, -200.0], [-190.0, 40.0]] {
+        for distortion in [0.0, k, -k] {
+            let (ideal, seen) = frame(distortion, corner);
+            let [x, y] = [ideal[0] - 319.5, ideal[1] - 239.5];
+            let bend = 1.0 + distortion * (x * x + y * y) / (319.5f64.powi(2) + 239.5f64.powi(2));
+            let off = [seen[0] - 319.5 - bend * x, seen[1] - 239.5 - bend * y];
+            assert!(
+                off[0].hypot(off[1]) < 0.02,
+                "{corner:?} {distortion}: {off:?}"
+            );
+        }
+    }
+}

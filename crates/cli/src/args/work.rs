@@ -62,6 +62,42 @@ pub(crate) struct FocusArgs {
     pub(crate) answer: AnswerArgs,
 }
 
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo grid --pitch-um 100 --objective 10x
+  scopeservo grid --pitch-um 20 --objective 40x --json
+  scopeservo grid --pitch-um 50 --reach-um 500 --no-focus      a small grid, in focus already
+
+Put in a pattern slide, anywhere within the grid and turned by any angle. The answer has kx, ky and the camera's angle, distortion, tilt of the
+field, and how far the stage goes beside what it says. A calibration that is kept is compared with it, and stays as it is: exit code 3 when it
+disagrees, or when there is no such grid. A period must have 8 pixels or more, and the image three periods each way.")]
+pub(crate) struct GridArgs {
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// The pitch: the shortest way on which the pattern repeats, from the middle of a dot to the next. On a chequer board that is to the next
+    /// square of one colour, the diagonal of a square.
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    pub(crate) pitch_um: f64,
+    /// Bring this objective into the beam first.
+    #[arg(long, value_name = "ID")]
+    pub(crate) objective: Option<String>,
+    /// How far the stage goes from where it stands, along x and y.
+    #[arg(
+        long,
+        value_name = "UM",
+        default_value_t = 2000.0,
+        allow_negative_numbers = true
+    )]
+    pub(crate) reach_um: f64,
+    /// Do not focus first.
+    #[arg(long)]
+    pub(crate) no_focus: bool,
+    #[command(flatten)]
+    pub(crate) focusing: FocusingArgs,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
+}
+
 #[derive(Debug, Subcommand)]
 pub(crate) enum StageCommand {
     /// Go to a place, within the rules. A stage that stands outside its limits is brought back by this, towards the inside only.

@@ -2,12 +2,14 @@
 
 mod calibrate;
 mod focus;
+mod grid;
 mod reposition;
 mod resume;
 mod save_target;
 
 pub(crate) use calibrate::calibrate;
 pub(crate) use focus::focus;
+pub(crate) use grid::grid;
 pub(crate) use reposition::reposition;
 pub(crate) use resume::{abandon, resume};
 pub(crate) use save_target::save_target;

@@ -97,7 +97,8 @@ impl Reason {
             ErrorCode::NothingMoves => Self::NothingMoves,
             ErrorCode::Ambiguous => Self::Ambiguous,
             ErrorCode::WrongObjective => Self::WrongObjective,
-            ErrorCode::CalibrationFailed => Self::CalibrationFailed,
+            // No run looks at a grid; what it would be is a calibration.
+            ErrorCode::CalibrationFailed | ErrorCode::GridFailed => Self::CalibrationFailed,
             ErrorCode::OutsideLimits => Self::OutsideLimits,
             ErrorCode::Refused
             | ErrorCode::Interrupted

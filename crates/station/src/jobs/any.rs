@@ -2,8 +2,9 @@
 
 use super::{
     CalibrateInput, CalibrateJob, CalibrateOutput, DoctorInput, DoctorJob, DoctorOutput,
-    FocusInput, FocusJob, FocusOutput, IdentifyInput, IdentifyJob, IdentifyOutput, RepositionInput,
-    RepositionJob, RepositionOutput, SaveTargetInput, SaveTargetJob, SaveTargetOutput,
+    FocusInput, FocusJob, FocusOutput, GridInput, GridJob, GridOutput, IdentifyInput, IdentifyJob,
+    IdentifyOutput, RepositionInput, RepositionJob, RepositionOutput, SaveTargetInput,
+    SaveTargetJob, SaveTargetOutput,
 };
 use crate::{JobError, UseCase, Work};
 use scopeservo_servo::{Progress, Target};
@@ -18,6 +19,7 @@ use thiserror::Error;
 pub enum Request {
     Focus(FocusInput),
     Calibrate(CalibrateInput),
+    Grid(GridInput),
     SaveTarget(SaveTargetInput),
     Reposition(RepositionInput),
     Identify(IdentifyInput),
@@ -31,6 +33,7 @@ pub enum Request {
 pub enum Answer {
     Focus(FocusOutput),
     Calibrate(CalibrateOutput),
+    Grid(Box<GridOutput>),
     SaveTarget(Box<SaveTargetOutput>),
     Reposition(RepositionOutput),
     Identify(IdentifyOutput),
@@ -44,6 +47,7 @@ pub enum Answer {
 pub enum AnyJob {
     Focus(Box<FocusJob>),
     Calibrate(Box<CalibrateJob>),
+    Grid(Box<GridJob>),
     SaveTarget(Box<SaveTargetJob>),
     Reposition(Box<RepositionJob>),
     Identify(Box<IdentifyJob>),
@@ -62,6 +66,7 @@ impl AnyJob {
         Ok(match request {
             Request::Focus(input) => Self::Focus(Box::new(FocusJob::new(input))),
             Request::Calibrate(input) => Self::Calibrate(Box::new(CalibrateJob::new(input))),
+            Request::Grid(input) => Self::Grid(Box::new(GridJob::new(input))),
             Request::SaveTarget(input) => Self::SaveTarget(Box::new(SaveTargetJob::new(input))),
             Request::Identify(input) => Self::Identify(Box::new(IdentifyJob::new(input))),
             Request::Doctor(input) => Self::Doctor(Box::new(DoctorJob::new(input))),
@@ -85,6 +90,7 @@ impl AnyJob {
         Ok(match kind {
             "focus" => Self::Focus(read(state)?),
             "calibrate" => Self::Calibrate(read(state)?),
+            "grid" => Self::Grid(read(state)?),
             "save_target" => Self::SaveTarget(read(state)?),
             "identify" => Self::Identify(read(state)?),
             "reposition" => Self::Reposition(read(state)?),
@@ -128,6 +134,7 @@ impl UseCase for AnyJob {
         match self {
             Self::Focus(job) => job.kind(),
             Self::Calibrate(job) => job.kind(),
+            Self::Grid(job) => job.kind(),
             Self::SaveTarget(job) => job.kind(),
             Self::Reposition(job) => job.kind(),
             Self::Identify(job) => job.kind(),
@@ -139,6 +146,7 @@ impl UseCase for AnyJob {
         match self {
             Self::Focus(job) => job.can_go_on(),
             Self::Calibrate(job) => job.can_go_on(),
+            Self::Grid(job) => job.can_go_on(),
             Self::SaveTarget(job) => job.can_go_on(),
             Self::Reposition(job) => job.can_go_on(),
             Self::Identify(job) => job.can_go_on(),
@@ -150,6 +158,7 @@ impl UseCase for AnyJob {
         Ok(match self {
             Self::Focus(job) => answer(job.step(work)?, Answer::Focus),
             Self::Calibrate(job) => answer(job.step(work)?, Answer::Calibrate),
+            Self::Grid(job) => answer(job.step(work)?, |told| Answer::Grid(Box::new(told))),
             Self::SaveTarget(job) => {
                 answer(job.step(work)?, |saved| Answer::SaveTarget(Box::new(saved)))
             }

@@ -7,6 +7,7 @@ mod any;
 mod calibrate;
 mod doctor;
 mod focus;
+mod grid;
 mod identify;
 mod reposition;
 mod save_target;
@@ -17,6 +18,7 @@ pub use doctor::{
     Check, DoctorInput, DoctorJob, DoctorOutput, Finding, Trouble, look_by_small_moves,
 };
 pub use focus::{FocusInput, FocusJob, FocusOutput};
+pub use grid::{GridInput, GridJob, GridOutput};
 pub use identify::{IdentifyInput, IdentifyJob, IdentifyOutput};
 pub use reposition::{RepositionInput, RepositionJob, RepositionOutput};
 pub use save_target::{SaveTargetInput, SaveTargetJob, SaveTargetOutput};

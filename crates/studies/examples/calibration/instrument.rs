@@ -1,6 +1,6 @@
 //! The instruments of a study: the paper's, and others of every kind.
 
-use crate::specimens::Specimens;
+use crate::specimens::{GRID_PITCHES_UM, Specimens};
 use scopeservo_geometry::{Mat2, SplitMix64};
 use scopeservo_scope::{Axis, CancelToken, Clock, Instrument, StagePose, VirtualClock};
 use scopeservo_servo::Calibration;
@@ -85,6 +85,11 @@ impl Design {
         }
     }
 
+    /// The pitch of a grid that this objective shows well, um.
+    pub(crate) fn pitch_um(&self) -> f64 {
+        GRID_PITCHES_UM[self.objective]
+    }
+
     /// Over one of the specimens, in focus.
     pub(crate) fn bench(&self, seed: u64, specimens: &Specimens) -> Outcome<Bench> {
         let mut config = self.config.clone();
@@ -92,12 +97,12 @@ impl Design {
         config.optics = vec![optics];
         let skew = config.mount.skew;
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-        let (specimen, [half_x, half_y]) = specimens.of(seed);
+        let (specimen, half_um) = specimens.of(seed, self.objective);
         let twin = Twin::new(config, specimen, seed, clock)?;
         let scope = Instrument::new(twin.devices(), twin.rules(), CancelToken::new())?;
         let mut rng = SplitMix64::new(seed);
         let mut within = |half: f64| half * (2.0 * rng.uniform() - 1.0);
-        twin.centre_specimen([within(half_x), within(half_y)], within(180.0));
+        twin.centre_specimen([within(half_um), within(half_um)], within(180.0));
         let bench = Bench { twin, scope, skew };
         bench.focus()?;
         Ok(bench)

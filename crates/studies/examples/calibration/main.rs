@@ -3,8 +3,11 @@
 //! `cargo run --release -p scopeservo-studies --example calibration -- table2 --rounds 50`
 //! `cargo run --release -p scopeservo-studies --example calibration -- instruments --count 400`
 //!
-//! Rounds stand on six pieces of tissue by turns, each at a place and an angle of its own, or on a slide (`--specimen`). Every round is kept as a line of its own: a study that was broken off goes on. Beside the lines lies a
-//! page with plots, and the table as CSV. Exit code 1 when a bias exceeds 3 sd / sqrt(rounds), or when truths lie outside of what is stated.
+//! `--method grid` does the same by a grid of dots, of 100, 50 and 20 um at 10x, 20x and 40x.
+//!
+//! Rounds stand on six pieces of tissue by turns, each at a place and an angle of its own, or on a slide (`--specimen`). Every round is kept as
+//! a line of its own: a study that was broken off goes on. Beside the lines lies a page with plots, and the table as CSV.
+//! Exit code 1 when a bias exceeds 3 sd / sqrt(rounds), or when truths lie outside of what is stated.
 
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
@@ -28,7 +31,7 @@ use std::path::PathBuf;
 struct Args {
     #[command(subcommand)]
     study: Study,
-    /// joint, or the paper's two steps.
+    /// joint, the paper's two steps, or by a grid of dots.
     #[arg(long, global = true, default_value = "joint")]
     method: Method,
     /// Threads; all processors unless told.
@@ -68,6 +71,7 @@ enum Study {
 enum Method {
     Joint,
     TwoStep,
+    Grid,
 }
 
 /// The paper's by turns.
@@ -77,8 +81,9 @@ fn main() -> Outcome<()> {
     let args = Args::parse();
     let threads = threads(args.threads)?;
     let (method, method_name) = match args.method {
-        Method::Joint => (CalibrationMethod::Joint, "joint"),
-        Method::TwoStep => (CalibrationMethod::TwoStep, "two-step"),
+        Method::Joint => (Some(CalibrationMethod::Joint), "joint"),
+        Method::TwoStep => (Some(CalibrationMethod::TwoStep), "two-step"),
+        Method::Grid => (None, "grid"),
     };
     type Designer = fn(u64) -> Design;
     let (name, numbers, design): (&str, Vec<u64>, Designer) = match &args.study {
@@ -95,12 +100,16 @@ fn main() -> Outcome<()> {
         }
         Study::Instruments { count } => ("instruments", (0..*count).collect(), Design::any),
     };
-    let specimens = match &args.study {
-        Study::Table2 {
-            specimen: Some(path),
-            um_per_px,
-            ..
-        } => Specimens::slide(path, *um_per_px)?,
+    let specimens = match (&args.method, &args.study) {
+        (Method::Grid, _) => Specimens::grid()?,
+        (
+            _,
+            Study::Table2 {
+                specimen: Some(path),
+                um_per_px,
+                ..
+            },
+        ) => Specimens::slide(path, *um_per_px)?,
         _ => Specimens::tissue(),
     };
     let path = args.out.join(format!("{name}-{method_name}.jsonl"));

@@ -6,8 +6,8 @@ use crate::specimens::Specimens;
 use scopeservo_geometry::Cholesky;
 use scopeservo_scope::Frame;
 use scopeservo_servo::{
-    Calibrate, CalibrateOptions, Calibration, CalibrationMethod, Event, FrameRole, Sink, Stamped,
-    VisionOptions, run,
+    Calibrate, CalibrateOptions, Calibration, CalibrationMethod, Event, FrameRole, GridCheck,
+    GridOptions, Sink, Stamped, VisionOptions, run,
 };
 use scopeservo_studies::rounds::Outcome;
 use serde::{Deserialize, Serialize};
@@ -53,27 +53,40 @@ impl Sink for Views {
     fn frame(&mut self, _: &Frame, _: FrameRole) {}
 }
 
-/// Calibrates the instrument of a design.
+/// Calibrates the instrument of a design; without a method, by a grid.
 pub(crate) fn calibrated(
     index: u64,
     design: &Design,
-    method: CalibrationMethod,
+    method: Option<CalibrationMethod>,
     specimens: &Specimens,
 ) -> Outcome<Record> {
     let bench = design.bench(index, specimens)?;
     let objective = bench.scope.gate().objectives()[0].clone();
-    let options = CalibrateOptions {
-        method,
-        ..CalibrateOptions::default()
-    };
-    let mut calibrate = Calibrate::new(objective.clone(), options, VisionOptions::default());
     let mut views = Views::default();
     let before = (
         bench.scope.clock().now().seconds(),
         bench.scope.counters().moves,
     );
     let began = Instant::now();
-    let made = run(&mut calibrate, &bench.scope, &mut views);
+    let made = match method {
+        Some(method) => {
+            let options = CalibrateOptions {
+                method,
+                ..CalibrateOptions::default()
+            };
+            let vision = VisionOptions::default();
+            let mut calibrate = Calibrate::new(objective.clone(), options, vision);
+            run(&mut calibrate, &bench.scope, &mut views)
+        }
+        None => {
+            let options = GridOptions {
+                pitch_um: design.pitch_um(),
+                ..GridOptions::default()
+            };
+            let mut check = GridCheck::new(objective.clone(), options);
+            run(&mut check, &bench.scope, &mut views).map(|report| report.calibration)
+        }
+    };
     let mut record = Record {
         index,
         design: design.words.clone(),
@@ -94,7 +107,10 @@ pub(crate) fn calibrated(
     match made {
         Ok(made) => {
             record.fill(&bench, design, &made)?;
-            record.arrivals_um = arrivals(&bench, &made, index)?;
+            // Nothing else knows what a stage scatters.
+            if made.scatter.is_some() {
+                record.arrivals_um = arrivals(&bench, &made, index)?;
+            }
         }
         Err(why) => record.refused = Some(why.to_string()),
     }

@@ -177,7 +177,7 @@ impl Scene {
             LatticeKind::Hexagonal => (0.75f64.sqrt(), 0.5),
             LatticeKind::Chequer => (0.5, 0.5),
             LatticeKind::Grating => return off(u) > 0.1,
-            LatticeKind::Square | LatticeKind::Dies => (1.0, 0.0),
+            LatticeKind::Square | LatticeKind::Lines | LatticeKind::Dies => (1.0, 0.0),
         };
         let nearest_row = (v / row).round() as i64;
         (nearest_row - 1..=nearest_row + 1).all(|j| {

@@ -7,7 +7,7 @@ mod pattern;
 
 use crate::camera_config::{CameraConfig, DustConfig};
 use crate::config::ObjectiveConfig;
-use crate::render::Planes;
+use crate::scene::Planes;
 use crate::seeds;
 use normal::normal_table;
 use pattern::Pattern;

@@ -21,6 +21,8 @@ pub enum LatticeKind {
     Hexagonal,
     /// Lines along y.
     Grating,
+    /// Lines along x and y: a grid.
+    Lines,
     /// Dark and bright squares in turn; the pitch is that of two.
     Chequer,
     /// Dies of a wafer in rows and columns, with bright streets between them.
@@ -54,7 +56,7 @@ pub struct LatticeConfig {
     pub pitch_um: f64,
     /// How far it is turned against the specimen's axes.
     pub turned_deg: f64,
-    /// Width of a cell, of a line or of a die over the pitch (over half of it on a chequer board).
+    /// Width of a cell, of a line or of a die over the pitch (over half of it on a chequer board). The lines of a grid are thin: 0.1 or so.
     pub fill: f64,
     /// Disorder: standard deviation of each cell's place along each axis, as a share of the pitch (normal, cut at 3).
     pub disorder: f64,
@@ -131,6 +133,10 @@ impl Lattice {
         let mut rng = seeds::rng(config.seed, seeds::LATTICE, 0);
         let shape = match (config.kind, config.cells) {
             (LatticeKind::Grating, _) => Shape::Stripe { half_um },
+            (LatticeKind::Lines, _) => Shape::Crossing {
+                half_um,
+                arm_um: 0.5 * config.pitch_um,
+            },
             (LatticeKind::Chequer, _) => Shape::Square {
                 half_um: 0.5 * half_um,
             },

@@ -4,10 +4,11 @@ use super::tests::{assert_box_means, sample};
 use super::*;
 use std::sync::Arc;
 
-const KINDS: [LatticeKind; 5] = [
+const KINDS: [LatticeKind; 6] = [
     LatticeKind::Square,
     LatticeKind::Hexagonal,
     LatticeKind::Grating,
+    LatticeKind::Lines,
     LatticeKind::Chequer,
     LatticeKind::Dies,
 ];

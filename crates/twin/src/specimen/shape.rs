@@ -15,6 +15,8 @@ pub(super) enum Shape {
     Square { half_um: f64 },
     /// An upright line without ends.
     Stripe { half_um: f64 },
+    /// Two upright lines that cross, and end where those of the next crossing begin.
+    Crossing { half_um: f64, arm_um: f64 },
     /// A cell with a nucleus and granules.
     Cell(Cell),
     /// A square of a wafer, with conductors and its number.
@@ -28,6 +30,7 @@ impl Shape {
             Self::Disc { radius_um } => [*radius_um; 2],
             Self::Square { half_um } => [*half_um; 2],
             Self::Stripe { half_um } => [*half_um, f64::INFINITY],
+            Self::Crossing { arm_um, .. } => [*arm_um; 2],
             Self::Cell(cell) => [1.3 * cell.radius_um; 2],
             Self::Die(die) => [die.half_um; 2],
         }
@@ -39,6 +42,11 @@ impl Shape {
             Self::Disc { radius_um } => inside(radius_um - p[0].hypot(p[1]), edge_um),
             Self::Square { half_um } => rectangle(p, [0.0; 2], [*half_um; 2], edge_um),
             Self::Stripe { half_um } => inside(half_um - p[0].abs(), edge_um),
+            Self::Crossing { half_um, arm_um } => {
+                let along_x = rectangle(p, [0.0; 2], [*arm_um, *half_um], edge_um);
+                let along_y = rectangle(p, [0.0; 2], [*half_um, *arm_um], edge_um);
+                along_x.max(along_y)
+            }
             Self::Cell(cell) => cell.taken(p, edge_um),
             Self::Die(die) => die.taken(p, edge_um),
         }
