@@ -8,6 +8,7 @@
 #[macro_use]
 mod answer;
 mod args;
+mod beginning;
 mod bench;
 mod commands;
 mod console;

@@ -2,6 +2,7 @@
 
 use crate::answer::Answer;
 use crate::args::InstrumentArgs;
+use crate::beginning;
 use crate::console::{Console, Late, Told};
 use crate::error::{CliError, Code};
 use crate::journal::{self, Asked, FileJournal, Made};
@@ -10,6 +11,7 @@ use scopeservo_library::{
     Cameras as _, Folder, Journal as _, Journalled, RunHead, RunLog, Runs as _,
 };
 use scopeservo_scope::{CancelToken, GateEvent, Instrument, Objective};
+use scopeservo_servo::ErrorKind;
 use scopeservo_setup::{Config, Consent, Held, Opened, connect, home_if_needed};
 use scopeservo_station::{News, StationEvent, UseCase};
 use std::io::{BufRead, IsTerminal};
@@ -180,6 +182,11 @@ impl OpenInstrument {
         watcher.finish();
         if let Some(lost) = self.journal.lost() {
             answer.warn(Code::NotKept, lost);
+        }
+        if let Err(CliError::Servo(error)) = &output
+            && matches!(error.kind(), ErrorKind::Interruption | ErrorKind::Fault)
+        {
+            beginning::tell(&self.scope, answer);
         }
         Ok(Ran {
             output,

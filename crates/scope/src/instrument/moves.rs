@@ -56,6 +56,11 @@ impl Instrument {
         *self.began_mut() = None;
     }
 
+    /// Where the stage stood before the first move of the present command; `None` before that.
+    pub fn began(&self) -> Option<StagePose> {
+        *self.began_mut()
+    }
+
     fn began_mut(&self) -> std::sync::MutexGuard<'_, Option<StagePose>> {
         self.began.lock().unwrap_or_else(|e| e.into_inner())
     }
@@ -97,7 +102,7 @@ impl Instrument {
     /// # Errors
     /// As [`Instrument::move_to`], and [`ScopeError::StillMoves`].
     pub fn withdraw(&self) -> Result<(), ScopeError> {
-        let began = self.began_mut().and_then(|at| at.z);
+        let began = self.began().and_then(|at| at.z);
         let Some(began) = began.filter(|_| !self.gate.is_cancelled()) else {
             return Ok(());
         };

@@ -15,6 +15,8 @@ from scipy.optimize import least_squares
 PRIORS = {"backlash": [30e-6, 30e-6, 1e-4], "lever_m": 0.3, "parcentric_m": 15e-6}
 # What an axis that is not asked to move moves, as a share of its scatter.
 STANDS = 0.01
+# And what it trembles from the view of its last arrival to another.
+TREMBLES = np.array([20e-9, 20e-9, 2e-7])
 NOISE = np.array([0.03, 0.03, 2e-4])
 # Of a view in a step of the solver, and of the instrument.
 POSE_UNIT = np.array([1e-7, 1e-7, 1e-6])
@@ -102,12 +104,13 @@ def case(name, kinematics, m, eta, backlash, arrival, turns, seed, coupled):
     def residuals(z):
         poses, play, map_, centre = unpack(z)
         out = [((shown(kinematics, poses[i], poses[j], map_, centre) - b) / NOISE) for i, j, b in pairs]
-        before = np.zeros(3)
+        stood = np.zeros(3)
         for pose, (reported, side), new in zip(poses, views, arrived):
             off = pose - reported
-            rows = np.where(new, off + np.array(side) * play / 2, (off - before) / STANDS)
-            out.append(rows[moving] / sigma[moving])
-            before = off
+            rest = np.hypot(STANDS * sigma, TREMBLES)
+            rows = np.where(new, (off + np.array(side) * play / 2) / np.where(moving, sigma, 1.0), (off - stood) / rest)
+            out.append(rows[moving])
+            stood = np.where(new, off, stood)
         out.append((play / PRIORS["backlash"])[moving])
         out.append(centre / PRIORS["lever_m"])
         return np.concatenate(out)

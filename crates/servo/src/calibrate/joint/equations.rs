@@ -19,6 +19,8 @@ pub(super) struct Problem<'a> {
 
 /// What an axis that is not asked to move moves, as a share of its scatter: nearly nothing.
 const STANDS: f64 = 0.01;
+/// And by so much between two views, as buildings tremble, m and rad.
+const TREMBLES: [f64; 3] = [20e-9, 20e-9, 2e-7];
 
 /// Something known beforehand: a residual with its derivative by a few unknowns, and its standard deviation.
 pub(super) struct PriorRow {
@@ -147,13 +149,15 @@ impl Problem<'_> {
                 arrival,
             });
         };
-        for k in 0..3 {
+        for (k, trembles) in TREMBLES.into_iter().enumerate() {
             let Some(sigma) = priors.arrival[k] else {
                 continue;
             };
             let backlash = at.instrument.backlash[k];
             let play = order.backlash() + k;
             add(&[(play, 1.0)], backlash, priors.backlash[k], None);
+            // The view at which the axis arrived last.
+            let mut stands = 0;
             for (v, (view, pose)) in self.views.iter().zip(&at.poses).enumerate() {
                 let half = f64::from(view.approach[k]) / 2.0;
                 let since_s = view.time_s - self.views[0].time_s;
@@ -161,16 +165,22 @@ impl Problem<'_> {
                 let off = axes(pose)[k] - axes(&view.reported)[k] + half * backlash - drifted;
                 let here = order.pose(v) + k;
                 if view.arrived[k] || v == 0 || priors.coupled.unwrap_or(true) {
+                    stands = v;
                     let mut by = vec![(here, 1.0), (play, half)];
                     if k < 2 {
                         by.push((order.drift() + k, -since_s));
                     }
                     add(&by, off, sigma, Some(k));
                 } else {
-                    let before = axes(&at.poses[v - 1])[k] - axes(&self.views[v - 1].reported)[k];
-                    let stood = axes(pose)[k] - axes(&view.reported)[k] - before;
-                    let by = [(here, 1.0), (here - 3, -1.0)];
-                    add(&by, stood, STANDS * sigma, None);
+                    let before = axes(&at.poses[stands])[k] - axes(&self.views[stands].reported)[k];
+                    let gap_s = view.time_s - self.views[stands].time_s;
+                    let drifted = at.drift.get(k).map_or(0.0, |drift| drift * gap_s);
+                    let stood = axes(pose)[k] - axes(&view.reported)[k] - before - drifted;
+                    let mut by = vec![(here, 1.0), (order.pose(stands) + k, -1.0)];
+                    if k < 2 {
+                        by.push((order.drift() + k, -gap_s));
+                    }
+                    add(&by, stood, f64::hypot(STANDS * sigma, trembles), None);
                 }
             }
         }
