@@ -99,6 +99,7 @@ impl ServoError {
             | Self::AxesContradict { .. }
             | Self::AxesDiffer { .. }
             | Self::ViewAstray { .. }
+            | Self::ObjectivesDisagree { .. }
             | Self::CentreUnknown { .. } => ErrorCode::CalibrationFailed,
             Self::ObjectiveUnclear { .. }
             | Self::PictureStays { .. }

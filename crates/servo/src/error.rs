@@ -166,6 +166,24 @@ pub enum ServoError {
         /// How far; `None` where it was not found again.
         off_um: Option<f64>,
     },
+    /// Two objectives of one microscope contradict each other.
+    #[error(
+        "calibration of {objective} was not kept: it contradicts that of {other}: {what}. {}",
+        wrong.as_ref().map_or(
+            "One of the two is wrong: calibrate both again, with a third where there is one".to_owned(),
+            |id| format!("{id} is the one that disagrees: look whether it is in the beam as said, and calibrate it again")
+        )
+    )]
+    ObjectivesDisagree {
+        /// The objective that was calibrated.
+        objective: ObjectiveId,
+        /// The one it contradicts.
+        other: ObjectiveId,
+        /// In what.
+        what: String,
+        /// Which of all is wrong, where the others tell.
+        wrong: Option<ObjectiveId>,
+    },
     /// Rotations did not show the rotation centre.
     #[error(
         "calibration of {objective} failed: the rotation centre is known to {sigma_mm:.0} mm only, as the views that turn were not found. \

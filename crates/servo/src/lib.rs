@@ -44,7 +44,7 @@ mod vision;
 mod words;
 
 pub use bring::Bring;
-pub use calibrate::{Calibrate, CalibrateOptions, CalibrationMethod, joint};
+pub use calibrate::{Calibrate, CalibrateOptions, CalibrationMethod, agree, joint};
 pub use calibration::{Backlash, CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
 pub use code::{ErrorCode, ErrorKind, Remedy};
 pub use error::ServoError;

@@ -80,9 +80,20 @@ fn all_made(opened: &OpenInstrument, output: &CalibrateOutput, now: &[Made]) -> 
 
 /// What was measured, and where it is kept.
 fn show_made(answer: &Answer, made: &[Made]) {
+    let first = made.first().map(|m| m.calibration.calibration.clone());
     for Made { calibration, file } in made {
         let made = calibration;
         show_calibration(answer, &made.calibration, made.residual_px);
+        let parcentric = first
+            .as_ref()
+            .and_then(|first| parcentric_um(first, &made.calibration));
+        if let (Some(first), Some(([x, y], sigma))) = (&first, parcentric) {
+            let from = &first.objective;
+            say!(
+                answer,
+                "  its centre lies {x:.1}, {y:.1} +- {sigma:.1} um from that of {from}"
+            );
+        }
         if let Some(file) = file {
             say!(answer, "  kept in {}", file.display());
         }
@@ -91,10 +102,23 @@ fn show_made(answer: &Answer, made: &[Made]) {
             "file": file.as_deref().map(Path::to_string_lossy),
             "focus_z_um": made.focus_z_um,
             "residual_px": made.residual_px,
+            "parcentric_um": parcentric.map(|(offset, _)| offset),
             "calibration": calibration_json(&made.calibration),
         });
         answer.push("calibrations", entry);
     }
+}
+
+/// Where the centre of an objective lies beside that of the first one, in stage axes, with the standard deviation of both numbers, um. Only a
+/// rotation shows that from two calibrations.
+fn parcentric_um(first: &Calibration, other: &Calibration) -> Option<([f64; 2], f64)> {
+    if first.objective == other.objective {
+        return None;
+    }
+    let (a, b) = (first.rotation_centre_m?, other.rotation_centre_m?);
+    let variance = |c: &Calibration| c.covariance.map(|v| (v[4][4] + v[5][5]) / 2.0);
+    let sigma = (variance(first)? + variance(other)?).sqrt();
+    Some(([1e6 * (b[0] - a[0]), 1e6 * (b[1] - a[1])], 1e6 * sigma))
 }
 
 fn show_calibration(answer: &Answer, calibration: &Calibration, residual_px: Option<f64>) {

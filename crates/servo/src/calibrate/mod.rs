@@ -3,6 +3,7 @@
 //! [`CalibrationMethod::Joint`] follows a chain of views and solves everything at once (`joint` has the mathematics, `chain` the
 //! procedure); [`CalibrationMethod::TwoStep`] is the paper's.
 
+mod agree;
 mod chain;
 pub mod joint;
 mod options;
@@ -15,6 +16,7 @@ use scopeservo_scope::{Instrument, Objective};
 use serde::{Deserialize, Serialize};
 use two_step::TwoStep;
 
+pub use agree::agree;
 pub use options::{CalibrateOptions, CalibrationMethod};
 #[cfg(test)]
 pub(crate) use two_step::DIRECTIONS;

@@ -2,7 +2,9 @@
 
 use crate::{JobError, MadeCalibration, UseCase, Work};
 use scopeservo_scope::{Objective, ObjectiveId};
-use scopeservo_servo::{Bring, Calibrate, CalibrateOptions, FocusOptions, Progress, VisionOptions};
+use scopeservo_servo::{
+    Bring, Calibrate, CalibrateOptions, Calibration, FocusOptions, Progress, VisionOptions, agree,
+};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -119,6 +121,10 @@ impl UseCase for CalibrateJob {
             }
             State::Calibrate(calibrate) => {
                 if let Progress::Done(calibration) = work.step(&mut **calibrate)? {
+                    // Before it is kept: those before it stay, and one of them may be the wrong one.
+                    let before: Vec<&Calibration> =
+                        self.made.iter().map(|m| &m.calibration).collect();
+                    agree(work.scope().gate().objectives(), &before, &calibration)?;
                     self.made.push(work.keep_calibration(calibration));
                     self.left.pop_front();
                     self.state = State::Next;
