@@ -6,6 +6,7 @@ use scopeservo_scope::{Axis, CancelToken, Clock, Instrument, StagePose, VirtualC
 use scopeservo_servo::Calibration;
 use scopeservo_studies::rounds::Outcome;
 use scopeservo_twin::{Config, StageConfig, Twin};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// An instrument at a place, with the objective that is to be calibrated.
@@ -23,6 +24,44 @@ pub(crate) struct Design {
     pub(crate) play_um: f64,
 }
 
+/// Of an instrument: stage, play, scatter, angle of the camera, mirrored, skew, aspect of a pixel, objective.
+type Choice = [usize; 8];
+/// How many there are of each.
+const CHOICES: Choice = [4, 4, 4, 5, 2, 2, 2, 3];
+/// Instruments among which the next is chosen.
+const CANDIDATES: usize = 200;
+
+/// Instruments of which any two properties come together in one at least, greedily: always the one that has most pairs which are new.
+pub(crate) fn pairwise() -> Vec<Choice> {
+    let pairs = |choice: &Choice| -> Vec<[usize; 4]> {
+        let choice = *choice;
+        let of = |a: usize| (0..a).map(move |b| [a, choice[a], b, choice[b]]);
+        (0..CHOICES.len()).flat_map(of).collect()
+    };
+    let mut left: BTreeSet<[usize; 4]> = BTreeSet::new();
+    for (a, of_a) in CHOICES.into_iter().enumerate() {
+        for (b, of_b) in CHOICES.into_iter().enumerate().take(a) {
+            left.extend((0..of_a).flat_map(|p| (0..of_b).map(move |q| [a, p, b, q])));
+        }
+    }
+    let mut rng = SplitMix64::new(0x9A125);
+    let mut chosen = Vec::new();
+    while !left.is_empty() {
+        let candidates = (0..CANDIDATES).map(|_| CHOICES.map(|of| rng.below(of)));
+        let new = |c: &Choice| pairs(c).iter().filter(|p| left.contains(*p)).count();
+        // The first of the best, so that the order does not matter.
+        let best = candidates.reduce(|best, c| if new(&c) > new(&best) { c } else { best });
+        let Some(best) = best.filter(|c| new(c) > 0) else {
+            continue;
+        };
+        for pair in pairs(&best) {
+            left.remove(&pair);
+        }
+        chosen.push(best);
+    }
+    chosen
+}
+
 impl Design {
     /// The paper's instrument, with its three objectives by turns.
     pub(crate) fn of_paper(index: u64) -> Self {
@@ -37,22 +76,41 @@ impl Design {
     /// Any mounting, stage, play and scatter.
     pub(crate) fn any(index: u64) -> Self {
         let mut rng = SplitMix64::new(0xCA11 + index);
-        let mut pick = |n: usize| rng.below(n);
-        let stage = match pick(4) {
+        let choice = CHOICES.map(|of| rng.below(of));
+        Self::of(choice, 360.0 * rng.uniform())
+    }
+
+    /// One of instruments of which any two properties come together in one at least: the number of all is [`pairwise`]'s, and more come
+    /// round again with other angles.
+    pub(crate) fn of_pairs(index: u64) -> Self {
+        let all = pairwise();
+        let angle_deg = 360.0 * SplitMix64::new(0xA4 + index).uniform();
+        Self::of(all[index as usize % all.len()], angle_deg)
+    }
+
+    fn of(choice: Choice, angle_deg: f64) -> Self {
+        let [
+            stage,
+            play,
+            scatter,
+            turned,
+            mirrored,
+            skew,
+            stretch,
+            objective,
+        ] = choice;
+        let stage = match stage {
             0 => StageConfig::hexapod(),
             1 => StageConfig::xyz_theta(),
             2 => StageConfig::xyz(),
             _ => StageConfig::xy(),
         };
-        let play_um = [0.0, 2.0, 5.0, 20.0][pick(4)];
-        let scatter_um = [0.15, 0.5, 1.5, 5.0][pick(4)];
-        let turned = pick(5);
-        let mirrored = pick(2) == 1;
-        let skew = [0.0, 0.005][pick(2)];
-        let stretch = [1.0, 1.005][pick(2)];
-        let objective = pick(3);
+        let play_um = [0.0, 2.0, 5.0, 20.0][play];
+        let scatter_um = [0.15, 0.5, 1.5, 5.0][scatter];
+        let mirrored = mirrored == 1;
+        let skew = [0.0, 0.005][skew];
+        let stretch = [1.0, 1.005][stretch];
         let mut config = Config::realistic().with_stage(stage);
-        let angle_deg = 360.0 * rng.uniform();
         config.mount.phi_deg = [0.0, 90.0, 180.0, -90.0]
             .get(turned)
             .map_or(angle_deg, |a| *a);

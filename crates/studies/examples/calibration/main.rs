@@ -2,6 +2,7 @@
 //!
 //! `cargo run --release -p scopeservo-studies --example calibration -- table2 --rounds 50`
 //! `cargo run --release -p scopeservo-studies --example calibration -- instruments --count 400`
+//! `cargo run --release -p scopeservo-studies --example calibration -- pairwise --times 4`
 //!
 //! `--method grid` does the same by a grid of dots, of 100, 50 and 20 um at 10x, 20x and 40x.
 //!
@@ -19,7 +20,7 @@ mod specimens;
 mod table;
 
 use clap::{Parser, Subcommand, ValueEnum};
-use instrument::Design;
+use instrument::{Design, pairwise};
 use record::{Record, calibrated};
 use scopeservo_servo::CalibrationMethod;
 use scopeservo_studies::rounds::{Outcome, rounds, threads};
@@ -65,6 +66,12 @@ enum Study {
         #[arg(long, default_value_t = 400)]
         count: u64,
     },
+    /// Instruments of which any two properties come together in one at least; each must be calibrated, and be right.
+    Pairwise {
+        /// How often, each time with other angles.
+        #[arg(long, default_value_t = 4)]
+        times: u64,
+    },
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -99,6 +106,10 @@ fn main() -> Outcome<()> {
             ("table2", numbers, Design::of_paper)
         }
         Study::Instruments { count } => ("instruments", (0..*count).collect(), Design::any),
+        Study::Pairwise { times } => {
+            let count = times * pairwise().len() as u64;
+            ("pairwise", (0..count).collect(), Design::of_pairs)
+        }
     };
     let specimens = match (&args.method, &args.study) {
         (Method::Grid, _) => Specimens::grid()?,
@@ -123,6 +134,7 @@ fn main() -> Outcome<()> {
     let failed = match args.study {
         Study::Table2 { .. } => table::of_paper(&records),
         Study::Instruments { .. } => table::of_any(&records),
+        Study::Pairwise { .. } => table::of_any(&records) | table::any_wrong(&records),
     };
     let page_path = path.with_extension("html");
     std::fs::write(

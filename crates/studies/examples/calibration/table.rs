@@ -73,6 +73,22 @@ pub(crate) fn of_any(records: &[Record]) -> bool {
     within(records)
 }
 
+/// One number of 30 000 is farther off than this, in its standard deviations.
+const WRONG: f64 = 4.2;
+
+/// Whether any instrument was not calibrated, or a number of it is not what it says.
+pub(crate) fn any_wrong(records: &[Record]) -> bool {
+    let farthest = |r: &Record| r.pulls().into_iter().fold(0.0, |m: f64, p| m.max(p.abs()));
+    let wrong: Vec<&Record> = records
+        .iter()
+        .filter(|r| r.refused.is_some() || farthest(r) > WRONG)
+        .collect();
+    for r in &wrong {
+        println!("wrong {}: {}: {:.1} sigmas", r.index, r.design, farthest(r));
+    }
+    !wrong.is_empty()
+}
+
 const CHI_95: [(usize, f64); 2] = [(4, 9.488), (6, 12.592)];
 
 /// By groups: how many were calibrated, the shares of 95 % intervals that hold the truth, bias over its standard deviation.
