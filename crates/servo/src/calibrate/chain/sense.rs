@@ -53,7 +53,7 @@ impl Chain {
         match last.role {
             Role::Corner { index: 1, .. } if last.found => self.plane(scope),
             Role::Widen { .. } | Role::Sweep { .. } if last.found => {
-                self.turns_rightly(scope).unwrap_or(Ok(()))
+                self.turns_wrongly(scope).map_or(Ok(()), Err)
             }
             Role::Return if last.found => self.alike(scope),
             Role::Return | Role::Widen { .. } | Role::Sweep { .. } => self.follows(scope),
@@ -155,8 +155,8 @@ impl Chain {
         of.take(LATEST).collect()
     }
 
-    /// The image turns with the stage, to the side that x and y tell. `None`: so far nobody can say.
-    fn turns_rightly(&self, scope: &Instrument) -> Option<Result<(), ServoError>> {
+    /// That the image does not turn with the stage, or to the other side than x and y tell; nothing where a single view says so.
+    fn turns_wrongly(&self, scope: &Instrument) -> Option<ServoError> {
         let ([a, b], [x_m, y_m]) = self.corners()?;
         let side = match scope.gate().info().kinematics {
             Kinematics::MovesMicroscope => 1.0,
@@ -164,28 +164,18 @@ impl Chain {
         };
         let handed = side * ((a[0] * b[1] - a[1] * b[0]) * x_m * y_m).signum();
         let turns = self.turns(scope);
-        let mean = |k: usize| turns.iter().map(|t| t[k]).sum::<f64>() / turns.len() as f64;
-        let (asked_rad, seen_rad) = (mean(0), mean(1));
-        let asked_sq: f64 = turns.iter().map(|t| (t[0] - asked_rad).powi(2)).sum();
-        let both: f64 = turns
-            .iter()
-            .map(|t| (t[0] - asked_rad) * (t[1] - seen_rad))
-            .sum();
-        let sigma = (mean(2).max(LEAST_ANGLE_RAD.powi(2)) / asked_sq).sqrt();
-        // Of what was asked, to the side that x and y tell.
-        let share = handed * both / asked_sq;
-        if turns.len() < 2 || sigma > SURE_SHARE {
+        let told = wrong_turn(&turns, handed)?;
+        let without = |k: usize| [&turns[..k], &turns[k + 1..]].concat();
+        if (0..turns.len()).any(|k| wrong_turn(&without(k), handed) != Some(told)) {
             return None;
         }
-        let near = |wanted: f64| (share - wanted).abs() < STANDS + 2.0 * sigma;
-        match (near(1.0), near(0.0), near(-1.0)) {
-            (true, _, _) => Some(Ok(())),
-            (_, true, _) => Some(Err(self.stands(Axis::Rz, asked_sq.sqrt()))),
-            (_, _, true) => Some(Err(ServoError::AxesContradict {
+        let ends = |f: fn(f64, f64) -> f64| turns.iter().map(|t| t[0]).reduce(f).unwrap_or(0.0);
+        Some(match told {
+            Turn::None => self.stands(Axis::Rz, ends(f64::max) - ends(f64::min)),
+            Turn::Reversed => ServoError::AxesContradict {
                 objective: self.objective.id.clone(),
-            })),
-            _ => Some(Err(self.lost(None))),
-        }
+            },
+        })
     }
 
     /// Views that must overlap with earlier ones are found.
@@ -205,17 +195,10 @@ impl Chain {
 
     /// That a view is not where it should be; or what the turned ones tell of the reason.
     fn astray(&self, scope: &Instrument, off_um: Option<f64>) -> ServoError {
-        match self.turns_rightly(scope) {
-            Some(Err(why)) => why,
-            _ => self.lost(off_um),
-        }
-    }
-
-    fn lost(&self, off_um: Option<f64>) -> ServoError {
-        ServoError::ViewAstray {
+        self.turns_wrongly(scope).unwrap_or(ServoError::ViewAstray {
             objective: self.objective.id.clone(),
             off_um,
-        }
+        })
     }
 
     /// The views back and forth were found, the rotation centre is not beyond all instruments, and at the end the reference is where the
@@ -267,6 +250,38 @@ impl Chain {
             }
         }
         Ok(())
+    }
+}
+
+/// What an image does that does not turn as it should.
+#[derive(Clone, Copy, PartialEq)]
+enum Turn {
+    None,
+    Reversed,
+}
+
+/// What is wrong with how images turn, by the angles that were asked for and seen, rad, and the variance of these: `None` where they turn to the
+/// side of `handed`, or nobody can say.
+fn wrong_turn(turns: &[[f64; 3]], handed: f64) -> Option<Turn> {
+    let mean = |k: usize| turns.iter().map(|t| t[k]).sum::<f64>() / turns.len() as f64;
+    let (asked_rad, seen_rad) = (mean(0), mean(1));
+    let asked_sq: f64 = turns.iter().map(|t| (t[0] - asked_rad).powi(2)).sum();
+    let both: f64 = turns
+        .iter()
+        .map(|t| (t[0] - asked_rad) * (t[1] - seen_rad))
+        .sum();
+    let sigma = (mean(2).max(LEAST_ANGLE_RAD.powi(2)) / asked_sq).sqrt();
+    // Of what was asked, to the side that x and y tell.
+    let share = handed * both / asked_sq;
+    let near = |wanted: f64| (share - wanted).abs() < STANDS + 2.0 * sigma;
+    match (
+        turns.len() >= 2 && sigma <= SURE_SHARE,
+        near(0.0),
+        near(-1.0),
+    ) {
+        (true, true, _) => Some(Turn::None),
+        (true, _, true) => Some(Turn::Reversed),
+        _ => None,
     }
 }
 
