@@ -96,17 +96,6 @@ pub(crate) fn magnifications(outcome: &Outcome) -> Vec<MagnificationJson> {
         .collect()
 }
 
-/// The move whose expected error is told, m and rad.
-pub(crate) const EXAMPLE_MOVE: (f64, f64) = (100e-6, std::f64::consts::PI / 180.0);
-
-/// How far one move is expected to end from where it should: the standard deviation of the distance, um.
-pub(crate) fn expected_error_um(c: &Calibration) -> Option<f64> {
-    let (moved_m, turned_rad) = EXAMPLE_MOVE;
-    let turned_rad = c.rotation_centre_m.map_or(0.0, |_| turned_rad);
-    let sigma_m = c.move_sigma_m(moved_m, turned_rad)?;
-    Some(2f64.sqrt() * sigma_m * 1e6)
-}
-
 pub(crate) fn calibration(c: &Calibration) -> CalibrationJson {
     let reading = c.reading();
     CalibrationJson {
@@ -118,7 +107,7 @@ pub(crate) fn calibration(c: &Calibration) -> CalibrationJson {
         backlash: c
             .backlash
             .map(|b| [b.x_m * 1e6, b.y_m * 1e6, b.rz_rad.to_degrees()]),
-        expected_error_um: expected_error_um(c),
+        expected_error_um: c.expected_error_um(),
         full: c.clone(),
     }
 }

@@ -354,6 +354,39 @@ pub enum ServoError {
         /// How much farther than it says, or less far, relative: the larger of x and y.
         stretch: f64,
     },
+    /// Whether a calibration still holds could not be seen.
+    #[error(
+        "whether the calibration of {objective} still holds could not be seen, because of {reason}. Focus, go to a place with tissue, and check \
+         again"
+    )]
+    CheckUnclear {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// Why a view was not found again.
+        reason: NotFound,
+    },
+    /// The stage scatters so much that nothing can be said of a calibration.
+    #[error(
+        "whether the calibration of {objective} still holds could not be told: by these moves its scale is known to {sigma_percent:.1} % only, as \
+         the stage's arrivals scatter. Calibrate instead, which takes more views"
+    )]
+    CheckTooCoarse {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// Standard deviation, percent.
+        sigma_percent: f64,
+    },
+    /// The stage was moved to check a calibration, and the image stayed.
+    #[error(
+        "the stage was sent {moved_um:.0} um with {objective} to check its calibration, and the image did not follow: the stage stands, or all that \
+         is seen is on the camera. Look whether it is switched on and free, and that the slide lies on it"
+    )]
+    CheckStands {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// How far it was sent, um.
+        moved_um: f64,
+    },
     /// Something failed, and the stage could not be taken back from the specimen to where the command began.
     #[error(
         "{error}. And the stage may stand nearer to the specimen than it did before, as it could not be taken back: {why}"
