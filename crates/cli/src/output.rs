@@ -1,7 +1,7 @@
 //! The keys of the JSON that `--json` prints, where they are many. Keys are stable: they are added to, never renamed.
 
 use scopeservo_geometry::Affine2;
-use scopeservo_servo::{Calibration, Outcome, Reason, Verdict};
+use scopeservo_servo::{Calibration, Change, Changing, Outcome, Reason, Verdict};
 use serde::Serialize;
 
 /// A verdict as people read it.
@@ -138,4 +138,28 @@ pub(crate) struct RegisterJson {
     pub(crate) ms: Option<f64>,
     pub(crate) engine: String,
     pub(crate) cpu_level: String,
+}
+
+/// How a number of a calibration has changed, with how sure that is.
+pub(crate) fn change_in_words(change: &Change) -> String {
+    let (name, unit, digits) = match change.what {
+        Changing::ScalePercent => ("scale", "%", 2),
+        Changing::AngleDeg => ("camera's angle", "deg", 3),
+        Changing::StretchPercent => ("x against y", "%", 2),
+        Changing::SquareDeg => ("right angle", "deg", 3),
+        Changing::CentreXUm => ("axis of rotation x", "um", 0),
+        Changing::CentreYUm => ("axis of rotation y", "um", 0),
+    };
+    format!(
+        "{name} {:+.digits$} +- {:.digits$} {unit} ({:.1} sigma)",
+        change.by,
+        change.sigma,
+        change.sigmas()
+    )
+}
+
+/// All of them.
+pub(crate) fn changes_in_words(changes: &[Change]) -> String {
+    let all: Vec<String> = changes.iter().map(change_in_words).collect();
+    all.join(", ")
 }
