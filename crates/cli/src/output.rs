@@ -158,8 +158,10 @@ pub(crate) fn change_in_words(change: &Change) -> String {
     )
 }
 
-/// All of them.
+/// All of them; of the axes only what is there for sure.
 pub(crate) fn changes_in_words(changes: &[Change]) -> String {
-    let all: Vec<String> = changes.iter().map(change_in_words).collect();
+    let of_axes = |c: &Change| matches!(c.what, Changing::StretchPercent | Changing::SquareDeg);
+    let told = changes.iter().filter(|c| !of_axes(c) || c.sigmas() > 3.0);
+    let all: Vec<String> = told.map(change_in_words).collect();
     all.join(", ")
 }

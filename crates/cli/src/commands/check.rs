@@ -8,6 +8,7 @@ use crate::journal::Asked;
 use crate::open_instrument::OpenInstrument;
 use crate::output::{change_in_words, changes_in_words};
 use crate::progress::Watcher;
+use scopeservo_library::Calibrations as _;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{Broken, Changing, SelfTestReport, SelfTestVerdict, Together};
 use scopeservo_station::jobs::{CheckInput, CheckJob, CheckOutput, Checked};
@@ -17,8 +18,15 @@ pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError>
     let focus = args.focusing.options()?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let mut calibrations = known_calibrations(&opened, answer);
     let named: Vec<ObjectiveId> = args.objective.iter().cloned().map(ObjectiveId).collect();
+    let wanted = |id: &ObjectiveId| named.is_empty() || named.contains(id);
+    for objective in opened.scope.gate().objectives() {
+        // One that is damaged is not left out in silence.
+        if wanted(&objective.id) {
+            opened.library.calibration(objective)?;
+        }
+    }
+    let mut calibrations = known_calibrations(&opened, answer);
     for id in &named {
         opened.scope.objective(id)?;
         if calibrations.iter().all(|c| c.objective != *id) {
@@ -27,7 +35,7 @@ pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError>
             return Err(CliError::Usage(what));
         }
     }
-    calibrations.retain(|c| named.is_empty() || named.contains(&c.objective));
+    calibrations.retain(|c| wanted(&c.objective));
     if calibrations.is_empty() {
         let what = "no calibration of this instrument and camera is kept: `scopeservo calibrate`";
         return Err(CliError::Usage(what.into()));
