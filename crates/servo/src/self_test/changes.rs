@@ -260,17 +260,15 @@ fn changes(
     ];
     let by = parts(&(*map * inverse))?;
     let step = 1e-6 * map.frobenius();
-    let mut gradient = [[0.0; 4]; 4];
-    for k in 0..4 {
+    let mut by_cell = [[0.0; 4]; 4];
+    for (k, parts_by) in by_cell.iter_mut().enumerate() {
         let at = |sign: f64| {
             let mut moved = *map;
             moved.0[k / 2][k % 2] += sign * step;
             parts(&(moved * inverse))
         };
         let (up, down) = (at(1.0)?, at(-1.0)?);
-        for q in 0..4 {
-            gradient[q][k] = (up[q] - down[q]) / (2.0 * step);
-        }
+        *parts_by = std::array::from_fn(|q| (up[q] - down[q]) / (2.0 * step));
     }
     let sigma = |g: &[f64; 4]| {
         let variance: f64 = (0..16)
@@ -287,7 +285,7 @@ fn changes(
     let of_map = (0..4).map(|q| Change {
         what: what[q],
         by: units[q] * by[q],
-        sigma: units[q].abs() * sigma(&gradient[q]),
+        sigma: units[q].abs() * sigma(&by_cell.map(|parts_by| parts_by[q])),
     });
     let of_centre = centre_m.into_iter().flat_map(|off_m| {
         [Changing::CentreXUm, Changing::CentreYUm]
