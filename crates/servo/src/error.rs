@@ -376,16 +376,19 @@ pub enum ServoError {
         /// Standard deviation, percent.
         sigma_percent: f64,
     },
-    /// The stage was moved to check a calibration, and the image stayed.
+    /// An axis was moved to check a calibration, and the image stayed.
     #[error(
-        "the stage was sent {moved_um:.0} um with {objective} to check its calibration, and the image did not follow: the stage stands, or all that \
-         is seen is on the camera. Look whether it is switched on and free, and that the slide lies on it"
+        "{axis} was sent {} with {objective} to check its calibration, and the image did not follow: {axis} stands, or all that is seen is on the \
+         camera. Look whether it is switched on and free, and that the slide lies on it",
+        way_in_words(*axis, *asked)
     )]
     CheckStands {
         /// The active objective.
         objective: ObjectiveId,
-        /// How far it was sent, um.
-        moved_um: f64,
+        /// The axis.
+        axis: Axis,
+        /// How far it was sent, m or rad.
+        asked: f64,
     },
     /// Something failed, and the stage could not be taken back from the specimen to where the command began.
     #[error(

@@ -10,7 +10,7 @@ use scopeservo_servo::{
     Progress, SelfTest, SelfTestReport, SelfTestVerdict, ServoError, Sink, VisionOptions, run,
 };
 use scopeservo_twin::specimen::{Blank, Sparse, SparseConfig, Specimen};
-use scopeservo_twin::{Config, DustConfig, StageConfig};
+use scopeservo_twin::{Config, DustConfig, StageConfig, StageFault};
 use std::sync::Arc;
 
 /// What a good calibration of the twin would be: the map to 0.03 %, the rotation centre to 10 um, and how arrivals scatter.
@@ -245,6 +245,23 @@ fn a_check_over_nothing_is_refused_and_dust_is_no_specimen() {
     assert_eq!(check(&weak, right.clone()).verdict, SelfTestVerdict::Good);
     let report = check(&weak, scaled(&right, 1.05));
     assert_eq!(report.verdict, SelfTestVerdict::Drifted);
+}
+
+#[test]
+fn an_axis_that_stands_is_no_fault_of_the_calibration() {
+    for stuck in [Axis::X, Axis::Y, Axis::Rz] {
+        let bench = bench(one_objective());
+        focus(&bench);
+        let (axis, right) = (stuck, truth(&bench));
+        bench
+            .twin
+            .fault(StageFault::StuckAxis { axis, stuck: true });
+        let ended = tested(&bench, right, &mut NoSink);
+        assert!(
+            matches!(&ended, Err(ServoError::CheckStands { axis, .. }) if *axis == stuck),
+            "{stuck}: {ended:?}"
+        );
+    }
 }
 
 #[test]

@@ -128,7 +128,7 @@ fn changed(report: &SelfTestReport) -> String {
             "the image is mirrored against the stage otherwise than it says".into()
         }
         Some(Broken::CentreLost) => {
-            "the view was lost however little the stage turned: the axis of rotation lies elsewhere"
+            "the view was lost however little the stage turned: the axis of rotation lies elsewhere, or the rotation does not do what it says"
                 .into()
         }
         None => changes_in_words(&report.changes),

@@ -69,7 +69,7 @@ pub enum SelfTestVerdict {
 pub enum Broken {
     /// The image is mirrored against the stage, and by the calibration it is not, or the other way round.
     OtherHand,
-    /// The view was lost however little the stage turned: the axis of rotation lies elsewhere.
+    /// The view was lost however little the stage turned: the axis of rotation lies elsewhere, or the rotation does not do what it says.
     CentreLost,
 }
 

@@ -33,7 +33,7 @@ const LESS: f64 = 0.25;
 const TRIES: u8 = 3;
 /// Besides what the stage turns, the images may turn by this against each other, rad.
 const TURN_SLACK_RAD: f64 = 0.02;
-/// A view that goes less than this share of what the stage is asked stays.
+/// A view that goes or turns by less than this share of what the stage is asked stays.
 const STAYS: f64 = 0.25;
 
 /// A view to come.
@@ -248,21 +248,61 @@ impl SelfTest {
         let shift_px = found.outcome.as_ref().ok().map(shift);
         tell(scope, sink, self.viewed(at, shift_px, found.inliers));
         match (found.outcome, shift_px) {
-            (Ok(estimate), Some(b_px)) => self.seen.push(Seen {
-                turned: goal.turn_rad != 0.0,
-                observation: Observation {
-                    pose: PlanarPose::from(&at),
-                    b_px,
-                    sigma_px: estimate.sigma_px,
-                },
-            }),
+            (Ok(estimate), Some(b_px)) => {
+                self.follows(start, goal, &estimate, b_px)?;
+                self.seen.push(Seen {
+                    turned: goal.turn_rad != 0.0,
+                    observation: Observation {
+                        pose: PlanarPose::from(&at),
+                        b_px,
+                        sigma_px: estimate.sigma_px,
+                    },
+                });
+            }
             (Err(reason), _) if goal.turn_rad == 0.0 => {
+                // All of it may have stayed.
                 let all = self.register(&view, reference, 0.0, false);
-                return Err(self.stood(start, goal, all.found().map(shift), reason));
+                if let Some(estimate) = all.found() {
+                    self.follows(start, goal, estimate, shift(estimate))?;
+                }
+                return Err(self.unclear(reason));
             }
             _ => self.turn_less(scope, start, goal),
         }
         Ok(())
+    }
+
+    /// Refuses an axis that was sent somewhere since the view before, where the image did not follow.
+    fn follows(
+        &self,
+        start: &PlanarPose,
+        goal: &Goal,
+        found: &Estimate,
+        b_px: Vec2,
+    ) -> Result<(), ServoError> {
+        let last = self.seen.last().map(|s| s.observation);
+        let (from, from_px) = last.map_or((*start, [0.0; 2]), |o| (o.pose, o.b_px));
+        let way = [0, 1].map(|k| goal.pose.x_m[k] - from.x_m[k]);
+        let axis = match way[0].abs() > way[1].abs() {
+            true => Axis::X,
+            false => Axis::Y,
+        };
+        let seen_px = f64::hypot(b_px[0] - from_px[0], b_px[1] - from_px[1]);
+        let asked_m = way[0].hypot(way[1]);
+        let seen_m = 1e-6 * self.calibration.um_per_px() * seen_px;
+        let turned = found.target_from_view.linear.rotation_angle();
+        let stands = match goal.turn_rad == 0.0 {
+            true => (axis, asked_m, seen_m),
+            false => (Axis::Rz, goal.turn_rad.abs(), turned.unwrap_or(0.0).abs()),
+        };
+        match stands {
+            (axis, asked, seen) if seen < STAYS * asked => Err(ServoError::CheckStands {
+                objective: self.objective.id.clone(),
+                axis,
+                asked,
+            }),
+            _ => Ok(()),
+        }
     }
 
     /// Registers a view to the reference, without what stays where it is when the view `moved`.
@@ -281,26 +321,6 @@ impl SelfTest {
                 register_correspondences(&free, &prior, options)
             }
             Err(reason) => Registration::not_found(reason, 0),
-        }
-    }
-
-    /// Why a view was not found again: all of it may have stayed.
-    fn stood(
-        &self,
-        start: &PlanarPose,
-        goal: &Goal,
-        shift_px: Option<Vec2>,
-        reason: NotFound,
-    ) -> ServoError {
-        let [x, y] = [0, 1].map(|k| goal.pose.x_m[k] - start.x_m[k]);
-        let moved_um = 1e6 * x.hypot(y);
-        let least_px = STAYS * moved_um / self.calibration.um_per_px();
-        match shift_px.is_some_and(|[x, y]| x.hypot(y) < least_px) {
-            true => ServoError::CheckStands {
-                objective: self.objective.id.clone(),
-                moved_um,
-            },
-            false => self.unclear(reason),
         }
     }
 
