@@ -199,6 +199,16 @@ fn play_and_scatter_are_no_drift() {
     }
     // Four numbers.
     assert!((2.0..6.5).contains(&sum), "{sum}");
+    let mut sum = 0.0;
+    for seed in 0..10 {
+        let bench = common::bench_seeded(one_objective(), seed);
+        focus(&bench);
+        let report = check(&bench, truth(&bench));
+        assert_eq!(report.verdict, SelfTestVerdict::Good, "{seed}: {report:?}");
+        sum += report.chi_square / 10.0;
+    }
+    // Six numbers.
+    assert!((2.5..10.0).contains(&sum), "{sum}");
 }
 
 fn over(specimen: impl Specimen + 'static, dust: &[DustConfig]) -> Bench {

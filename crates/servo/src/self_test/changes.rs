@@ -197,7 +197,9 @@ fn most(what: Changing) -> f64 {
 }
 
 fn verdict(report: &SelfTestReport) -> SelfTestVerdict {
-    let seen = report.chi_square > limit(report.changes.len());
+    // All together, and one of them by itself.
+    let sure = report.changes.iter().any(|c| c.sigmas() > SIGMAS);
+    let seen = sure && report.chi_square > limit(report.changes.len());
     if report.broken.is_some() {
         SelfTestVerdict::Replace
     } else if !seen || report.misses_um < report.expected_error_um {
