@@ -44,6 +44,10 @@ pub(crate) enum Command {
     Focus(FocusArgs),
     /// Check an objective, its calibration and the stage with a pattern slide: a grid of dots, squares or lines of known pitch.
     Grid(GridArgs),
+    /// Check kept calibrations by two moves over tissue: good, drifted or to be replaced.
+    Check(CheckArgs),
+    /// All calibrations that are kept, with what changed from one to the next. Nothing moves.
+    Calibrations(CalibrationsArgs),
     /// The stage, through the rules of your file.
     #[command(subcommand)]
     Stage(StageCommand),
@@ -74,6 +78,8 @@ impl Command {
             Self::Calibrate(args) => args.answer.json,
             Self::Focus(args) => args.answer.json,
             Self::Grid(args) => args.answer.json,
+            Self::Check(args) => args.answer.json,
+            Self::Calibrations(args) => args.answer.json,
             Self::Resume(args) => args.answer.json,
             Self::Abandon(args) => args.answer.json,
             Self::Stage(StageCommand::Go(args)) => args.answer.json,

@@ -113,6 +113,7 @@ pub(crate) enum Code {
     NothingMoves,
     Ambiguous,
     GridFailed,
+    CheckFailed,
     NotKept,
     ForeignTarget,
     Interrupted,
@@ -142,7 +143,8 @@ impl Code {
             | Self::PoorTarget
             | Self::NothingMoves
             | Self::Ambiguous
-            | Self::GridFailed => 3,
+            | Self::GridFailed
+            | Self::CheckFailed => 3,
             Self::NotKept
             | Self::ForeignTarget
             | Self::Blurred
@@ -239,6 +241,7 @@ fn servo_code(error: &ServoError) -> Code {
         ErrorCode::NothingMoves => Code::NothingMoves,
         ErrorCode::Ambiguous => Code::Ambiguous,
         ErrorCode::GridFailed => Code::GridFailed,
+        ErrorCode::CheckFailed => Code::CheckFailed,
         ErrorCode::OutsideLimits | ErrorCode::Refused => Code::Refused,
         ErrorCode::Interrupted => Code::Interrupted,
         ErrorCode::Fault => Code::Fault,

@@ -10,6 +10,7 @@ mod answer;
 mod args;
 mod beginning;
 mod bench;
+mod calibrations;
 mod commands;
 mod console;
 mod demo;
@@ -70,6 +71,8 @@ fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
         Command::Calibrate(args) => commands::calibrate(&args, answer),
         Command::Focus(args) => commands::focus(&args, answer),
         Command::Grid(args) => commands::grid(&args, answer),
+        Command::Check(args) => commands::check(&args, answer),
+        Command::Calibrations(args) => calibrations::run(&args, answer),
         Command::Stage(StageCommand::Go(args)) => stage::go(&args, answer),
         Command::Target(TargetCommand::Save(args)) => commands::save_target(&args, answer),
         Command::Target(TargetCommand::List(args)) => targets::list_targets(&args, answer),

@@ -1,7 +1,7 @@
 //! The keys of the JSON that `--json` prints, where they are many. Keys are stable: they are added to, never renamed.
 
 use scopeservo_geometry::Affine2;
-use scopeservo_servo::{Calibration, Outcome, Reason, Verdict};
+use scopeservo_servo::{Calibration, Change, Changing, Outcome, Reason, Verdict};
 use serde::Serialize;
 
 /// A verdict as people read it.
@@ -96,17 +96,6 @@ pub(crate) fn magnifications(outcome: &Outcome) -> Vec<MagnificationJson> {
         .collect()
 }
 
-/// The move whose expected error is told, m and rad.
-pub(crate) const EXAMPLE_MOVE: (f64, f64) = (100e-6, std::f64::consts::PI / 180.0);
-
-/// How far one move is expected to end from where it should: the standard deviation of the distance, um.
-pub(crate) fn expected_error_um(c: &Calibration) -> Option<f64> {
-    let (moved_m, turned_rad) = EXAMPLE_MOVE;
-    let turned_rad = c.rotation_centre_m.map_or(0.0, |_| turned_rad);
-    let sigma_m = c.move_sigma_m(moved_m, turned_rad)?;
-    Some(2f64.sqrt() * sigma_m * 1e6)
-}
-
 pub(crate) fn calibration(c: &Calibration) -> CalibrationJson {
     let reading = c.reading();
     CalibrationJson {
@@ -118,7 +107,7 @@ pub(crate) fn calibration(c: &Calibration) -> CalibrationJson {
         backlash: c
             .backlash
             .map(|b| [b.x_m * 1e6, b.y_m * 1e6, b.rz_rad.to_degrees()]),
-        expected_error_um: expected_error_um(c),
+        expected_error_um: c.expected_error_um(),
         full: c.clone(),
     }
 }
@@ -149,4 +138,30 @@ pub(crate) struct RegisterJson {
     pub(crate) ms: Option<f64>,
     pub(crate) engine: String,
     pub(crate) cpu_level: String,
+}
+
+/// How a number of a calibration has changed, with how sure that is.
+pub(crate) fn change_in_words(change: &Change) -> String {
+    let (name, unit, digits) = match change.what {
+        Changing::ScalePercent => ("scale", "%", 2),
+        Changing::AngleDeg => ("camera's angle", "deg", 3),
+        Changing::StretchPercent => ("x against y", "%", 2),
+        Changing::SquareDeg => ("right angle", "deg", 3),
+        Changing::CentreXUm => ("axis of rotation x", "um", 0),
+        Changing::CentreYUm => ("axis of rotation y", "um", 0),
+    };
+    format!(
+        "{name} {:+.digits$} +- {:.digits$} {unit} ({:.1} sigma)",
+        change.by,
+        change.sigma,
+        change.sigmas()
+    )
+}
+
+/// All of them; of the axes only what is there for sure.
+pub(crate) fn changes_in_words(changes: &[Change]) -> String {
+    let of_axes = |c: &Change| matches!(c.what, Changing::StretchPercent | Changing::SquareDeg);
+    let told = changes.iter().filter(|c| !of_axes(c) || c.sigmas() > 3.0);
+    let all: Vec<String> = told.map(change_in_words).collect();
+    all.join(", ")
 }

@@ -7,7 +7,7 @@ use crate::names::{file_name, number_of, utc};
 use scopeservo_scope::{Length, Objective, ObjectiveId};
 use scopeservo_servo::{CalibrateOptions, Calibration};
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 /// A calibration as it is kept.
@@ -30,11 +30,6 @@ pub struct KeptCalibration {
 /// Whether a calibration can be one of this objective: by the rules that a new one must pass.
 fn judge(calibration: &Calibration, objective: &Objective) -> Result<(), String> {
     let rules = CalibrateOptions::default();
-    let [[a, b], [c, d]] = calibration.stage_from_pixel.0;
-    let centre_m = calibration.rotation_centre_m.unwrap_or_default();
-    let covariance = calibration.covariance.unwrap_or_default();
-    let variances = covariance.iter().enumerate().map(|(i, row)| row[i]);
-    let mut numbers = [a, b, c, d].into_iter().chain(centre_m);
     let [large, small] = calibration.stage_from_pixel.svd().s;
     let (measured, nominal) = (calibration.um_per_px(), objective.nominal_um_per_px);
     let factor = (measured / nominal).max(nominal / measured);
@@ -44,8 +39,8 @@ fn judge(calibration: &Calibration, objective: &Objective) -> Result<(), String>
             calibration.objective, objective.id
         ));
     }
-    if !numbers.all(|v| v.abs() < LARGEST_M) || !variances.into_iter().all(|v| v >= 0.0) {
-        return Err("its numbers are those of no calibration".into());
+    if let Some(what) = calibration.impossible() {
+        return Err(what);
     }
     if factor > rules.nominal_factor {
         return Err(format!(
@@ -61,8 +56,14 @@ fn judge(calibration: &Calibration, objective: &Objective) -> Result<(), String>
     Ok(())
 }
 
-/// No part of a microscope is farther from another, metres.
-const LARGEST_M: f64 = 10.0;
+/// One of the calibrations of an objective, as it is kept.
+#[derive(Debug)]
+pub struct CalibrationFile {
+    /// Where it lies.
+    pub path: PathBuf,
+    /// What it holds, or why that is no calibration.
+    pub kept: Result<KeptCalibration, LibraryError>,
+}
 
 /// The calibrations of an instrument.
 pub trait Calibrations {
@@ -77,6 +78,13 @@ pub trait Calibrations {
     /// # Errors
     /// [`LibraryError::Read`].
     fn calibration_path(&self, objective: &ObjectiveId) -> Result<Option<PathBuf>, LibraryError>;
+
+    /// All calibrations that are kept, objective by objective, the oldest first: the newest counts. One that is damaged does not keep the others
+    /// away.
+    ///
+    /// # Errors
+    /// [`LibraryError::Read`] for a folder.
+    fn calibration_history(&self) -> Result<Vec<Vec<CalibrationFile>>, LibraryError>;
 
     /// Whether calibrations of these objectives could be kept, before anything is done for them.
     ///
@@ -103,6 +111,25 @@ impl Folder {
     }
 }
 
+/// The files of one objective, numbered in the order in which they were made, whatever a clock said.
+fn in_order(folder: &Path) -> Result<Vec<PathBuf>, LibraryError> {
+    let mut files = entries(folder)?;
+    files.retain(|p| is_json(p));
+    files.sort_by_key(|p| (number_of(p), p.clone()));
+    Ok(files)
+}
+
+/// Without an instrument nobody knows what is engraved: what is impossible of any objective is damaged.
+fn kept_in(path: PathBuf) -> CalibrationFile {
+    let kept = read(&path).and_then(
+        |kept: KeptCalibration| match kept.calibration.impossible() {
+            None => Ok(kept),
+            Some(what) => Err(LibraryError::damaged(&path, what)),
+        },
+    );
+    CalibrationFile { path, kept }
+}
+
 impl Calibrations for Folder {
     fn calibration(&self, objective: &Objective) -> Result<Option<KeptCalibration>, LibraryError> {
         let Some(path) = self.calibration_path(&objective.id)? else {
@@ -119,10 +146,17 @@ impl Calibrations for Folder {
     }
 
     fn calibration_path(&self, objective: &ObjectiveId) -> Result<Option<PathBuf>, LibraryError> {
-        let files = entries(&self.calibrations_of(objective))?.into_iter();
-        // Numbered in the order in which they were made, whatever a clock said.
-        let files = files.filter(|p| is_json(p));
-        Ok(files.max_by_key(|p| (number_of(p), p.clone())))
+        Ok(in_order(&self.calibrations_of(objective))?.pop())
+    }
+
+    fn calibration_history(&self) -> Result<Vec<Vec<CalibrationFile>>, LibraryError> {
+        let folders = entries(&self.path().join("calibrations"))?.into_iter();
+        let folders = folders.filter(|p| p.is_dir());
+        let of = |folder: PathBuf| -> Result<Vec<CalibrationFile>, LibraryError> {
+            Ok(in_order(&folder)?.into_iter().map(kept_in).collect())
+        };
+        let all: Vec<_> = folders.map(of).collect::<Result<_, _>>()?;
+        Ok(all.into_iter().filter(|files| !files.is_empty()).collect())
     }
 
     fn try_calibrations(&self, of: &[Objective]) -> Result<(), LibraryError> {
@@ -214,6 +248,18 @@ mod tests {
         let kept = newest().unwrap().unwrap();
         assert_eq!(kept.calibration, calibration(0.21));
         assert!((kept.focus_z_um.unwrap() + 12.5).abs() < 1e-9);
+        // All of them are told, the oldest first, those that are none with the reason.
+        let history = folder.calibration_history().unwrap();
+        let [of_one] = history.as_slice() else {
+            panic!("{history:?}");
+        };
+        let sizes: Vec<Option<f64>> = of_one
+            .iter()
+            .map(|f| f.kept.as_ref().ok().map(|k| k.calibration.um_per_px()))
+            .collect();
+        assert_eq!(of_one.len(), 5);
+        assert!(sizes[0].is_none() && sizes[1].is_none(), "{sizes:?}");
+        assert!((sizes[2].unwrap() - 0.19).abs() < 1e-9 && of_one[4].path == files[2]);
         // What is damaged is none, and is named; the one before counts when it is moved away.
         for (text, said) in [
             ("{\"schema\":1,", "is damaged"),

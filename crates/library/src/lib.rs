@@ -17,7 +17,7 @@ mod runs;
 mod target_file;
 mod targets;
 
-pub use calibrations::{Calibrations, KeptCalibration};
+pub use calibrations::{CalibrationFile, Calibrations, KeptCalibration};
 pub use cameras::Cameras;
 pub use error::LibraryError;
 pub use folder::Folder;

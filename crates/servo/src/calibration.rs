@@ -7,6 +7,9 @@ use serde::{Deserialize, Serialize};
 /// Version of the serialised form.
 pub const CALIBRATION_SCHEMA: u32 = 1;
 
+/// The move whose expected error is told of a calibration: m, and rad where the stage turns.
+pub const EXAMPLE_MOVE: (f64, f64) = (100e-6, std::f64::consts::PI / 180.0);
+
 /// The map between pixels and stage of one objective, and where the stage turns.
 ///
 /// A pixel p is fixed to the optics at the stage coordinate `c = stage_from_pixel (p - p0) + rotation_centre_m`, with p0 the
@@ -151,6 +154,15 @@ impl Calibration {
             Some(xx + yy)
         });
         Some(((variances[0]? + variances[1]?) / 4.0).sqrt())
+    }
+
+    /// How far [`EXAMPLE_MOVE`] is expected to end from where it should: the standard deviation of the distance, um. `None` where the calibration
+    /// does not know its own.
+    pub fn expected_error_um(&self) -> Option<f64> {
+        let (moved_m, turned_rad) = EXAMPLE_MOVE;
+        let turned_rad = self.rotation_centre_m.map_or(0.0, |_| turned_rad);
+        let sigma_m = self.move_sigma_m(moved_m, turned_rad)?;
+        Some(2f64.sqrt() * sigma_m * 1e6)
     }
 
     /// The same axes with pixels of another size, um: another camera at the same objective.

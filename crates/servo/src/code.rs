@@ -38,6 +38,8 @@ pub enum ErrorCode {
     Ambiguous,
     /// No grid of that pitch was seen, or the stage could not be followed on it.
     GridFailed,
+    /// Whether a calibration still holds could not be seen.
+    CheckFailed,
     /// The way leads past a rule of the motion gate.
     OutsideLimits,
     /// The instrument does not do it for another reason.
@@ -73,7 +75,8 @@ impl ErrorCode {
             | Self::PoorTarget
             | Self::NothingMoves
             | Self::Ambiguous
-            | Self::GridFailed => ErrorKind::Answer,
+            | Self::GridFailed
+            | Self::CheckFailed => ErrorKind::Answer,
             Self::OutsideLimits | Self::Refused => ErrorKind::Refusal,
             Self::Interrupted => ErrorKind::Interruption,
             Self::Fault | Self::Internal => ErrorKind::Fault,
@@ -106,7 +109,8 @@ impl ServoError {
             | Self::StageTooCoarse { .. }
             | Self::WrongObjective { .. } => ErrorCode::WrongObjective,
             Self::PoorTarget { .. } | Self::NothingToFollow => ErrorCode::PoorTarget,
-            Self::NothingMoves { .. } => ErrorCode::NothingMoves,
+            Self::NothingMoves { .. } | Self::CheckStands { .. } => ErrorCode::NothingMoves,
+            Self::CheckUnclear { .. } | Self::CheckTooCoarse { .. } => ErrorCode::CheckFailed,
             Self::Repeats { .. } => ErrorCode::Ambiguous,
             Self::NoGrid { .. }
             | Self::GridTooFineForStage { .. }

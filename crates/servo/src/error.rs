@@ -372,6 +372,42 @@ pub enum ServoError {
         /// How much farther than it says, or less far, relative: the larger of x and y.
         stretch: f64,
     },
+    /// Whether a calibration still holds could not be seen.
+    #[error(
+        "whether the calibration of {objective} still holds could not be seen, because of {reason}. Focus, go to a place with tissue, and check \
+         again"
+    )]
+    CheckUnclear {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// Why a view was not found again.
+        reason: NotFound,
+    },
+    /// The stage scatters so much that nothing can be said of a calibration.
+    #[error(
+        "whether the calibration of {objective} still holds could not be told: by these moves its scale is known to {sigma_percent:.1} % only, as \
+         the stage's arrivals scatter. Calibrate instead, which takes more views"
+    )]
+    CheckTooCoarse {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// Standard deviation, percent.
+        sigma_percent: f64,
+    },
+    /// An axis was moved to check a calibration, and the image stayed.
+    #[error(
+        "{axis} was sent {} with {objective} to check its calibration, and the image did not follow: {axis} stands, or all that is seen is on the \
+         camera. Look whether it is switched on and free, and that the slide lies on it",
+        way_in_words(*axis, *asked)
+    )]
+    CheckStands {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// The axis.
+        axis: Axis,
+        /// How far it was sent, m or rad.
+        asked: f64,
+    },
     /// Something failed, and the stage could not be taken back from the specimen to where the command began.
     #[error(
         "{error}. And the stage may stand nearer to the specimen than it did before, as it could not be taken back: {why}"

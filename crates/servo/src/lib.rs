@@ -33,9 +33,11 @@ mod law;
 mod localize;
 mod one_side;
 mod pose;
+mod possible;
 mod procedure;
 mod proof;
 mod reposition;
+mod self_test;
 pub mod servo;
 mod small_step;
 mod target;
@@ -45,7 +47,7 @@ mod words;
 
 pub use bring::Bring;
 pub use calibrate::{Calibrate, CalibrateOptions, CalibrationMethod, agree, joint};
-pub use calibration::{Backlash, CALIBRATION_SCHEMA, Calibration, IntrinsicReading};
+pub use calibration::{Backlash, CALIBRATION_SCHEMA, Calibration, EXAMPLE_MOVE, IntrinsicReading};
 pub use code::{ErrorCode, ErrorKind, Remedy};
 pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};
@@ -66,6 +68,10 @@ pub use proof::FixedPlaces;
 pub use reposition::{
     Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Reposition, RepositionOptions,
     SoFar, Verdict,
+};
+pub use self_test::{
+    Broken, Change, Changing, SelfTest, SelfTestReport, SelfTestVerdict, Together, changes_between,
+    together,
 };
 pub use servo::Servo;
 pub use servo::end::{ServoEnd, ServoResult};

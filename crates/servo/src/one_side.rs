@@ -1,6 +1,6 @@
 //! Moves that end from one side: the play of an axis is then taken up the same way at each, and what is between them is what was asked for.
 
-use crate::{Calibration, ServoError};
+use crate::{Calibration, PlanarPose, ServoError};
 use scopeservo_scope::{Axis, Instrument, StagePose};
 
 /// So many times its play an axis goes to take it up.
@@ -9,6 +9,20 @@ const RUN_UP: f64 = 1.5;
 const LEAST_PX: f64 = 0.25;
 /// Nor does play that is not known better than to so many standard deviations.
 const SIGMAS: f64 = 3.0;
+
+/// More than a stage has play that a servo could work with: m, m, rad.
+const PLAY: [f64; 3] = [50e-6, 50e-6, 2e-4];
+
+/// Where to go before `pose`, so that every axis goes up to it, also one whose play nobody has measured.
+pub(crate) fn below(pose: &PlanarPose, known: Option<&Calibration>) -> PlanarPose {
+    let seen = known.and_then(|c| c.backlash);
+    let seen = seen.map_or([0.0; 3], |b| [b.x_m, b.y_m, b.rz_rad]);
+    let by = [0, 1, 2].map(|k| PLAY[k].max(RUN_UP * seen[k]));
+    PlanarPose {
+        x_m: [0, 1].map(|k| pose.x_m[k] - by[k]),
+        theta_rad: pose.theta_rad - by[2],
+    }
+}
 
 /// The play of x, y (m) and rotation (rad) that matters with a calibration.
 fn play(calibration: &Calibration) -> [(Axis, f64); 3] {

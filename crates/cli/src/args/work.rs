@@ -98,6 +98,47 @@ pub(crate) struct GridArgs {
     pub(crate) answer: AnswerArgs,
 }
 
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo check                           every objective with a calibration, from the lowest magnification up
+  scopeservo check --objective 40x --no-focus
+  scopeservo check --json
+
+Over tissue: two moves of a third of the field and, where the stage turns, a rotation of a degree at most, then home again. Each calibration is
+good, drifted (runs still converge; calibrate soon) or to be replaced, with what changed and its standard deviation; the objective that alone
+disagrees is named, and so is what all of them share. Exit code 3 unless all are good.")]
+pub(crate) struct CheckArgs {
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// An objective to check; may be repeated. All with a calibration by default.
+    #[arg(long, value_name = "ID")]
+    pub(crate) objective: Vec<String>,
+    /// Do not focus first.
+    #[arg(long)]
+    pub(crate) no_focus: bool,
+    #[command(flatten)]
+    pub(crate) focusing: FocusingArgs,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo calibrations
+  scopeservo calibrations --objective 40x --json
+
+Nothing is opened and nothing moves. The oldest come first; the newest of an objective is the one in use. A change is told with how many standard
+deviations it is, where both calibrations know their own.")]
+pub(crate) struct CalibrationsArgs {
+    #[command(flatten)]
+    pub(crate) description: ConfigArgs,
+    /// Only those of this objective.
+    #[arg(long, value_name = "ID")]
+    pub(crate) objective: Option<String>,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
+}
+
 #[derive(Debug, Subcommand)]
 pub(crate) enum StageCommand {
     /// Go to a place, within the rules. A stage that stands outside its limits is brought back by this, towards the inside only.

@@ -6,11 +6,11 @@ use crate::args::CalibrateArgs;
 use crate::error::CliError;
 use crate::journal::{Asked, Made};
 use crate::open_instrument::OpenInstrument;
-use crate::output::{EXAMPLE_MOVE, calibration as calibration_json, expected_error_um};
+use crate::output::calibration as calibration_json;
 use crate::progress::Watcher;
 use scopeservo_library::Calibrations as _;
 use scopeservo_scope::{Objective, ObjectiveId};
-use scopeservo_servo::{CalibrateOptions, Calibration};
+use scopeservo_servo::{CalibrateOptions, Calibration, EXAMPLE_MOVE};
 use scopeservo_station::jobs::{CalibrateInput, CalibrateJob, CalibrateOutput};
 use serde_json::json;
 use std::path::Path;
@@ -177,7 +177,7 @@ fn show_calibration(answer: &Answer, calibration: &Calibration, residual_px: Opt
             }
         );
     }
-    if let Some(off_um) = expected_error_um(calibration) {
+    if let Some(off_um) = calibration.expected_error_um() {
         let turns = calibration.rotation_centre_m.map_or("", |_| " and 1 deg");
         say!(
             answer,

@@ -1,6 +1,7 @@
 //! The commands that work with an instrument: what the user asked becomes a job of the station, and its answer words.
 
 mod calibrate;
+mod check;
 mod focus;
 mod grid;
 mod reposition;
@@ -8,6 +9,7 @@ mod resume;
 mod save_target;
 
 pub(crate) use calibrate::calibrate;
+pub(crate) use check::check;
 pub(crate) use focus::focus;
 pub(crate) use grid::grid;
 pub(crate) use reposition::reposition;

@@ -13,7 +13,9 @@ use crate::views::{keep_report, try_out};
 use scopeservo_library::{Folder, KeptTarget, Targets as _};
 use scopeservo_report as report;
 use scopeservo_scope::Axis;
-use scopeservo_servo::{FrameRole, Outcome, RepositionOptions, ServoOptions, Sink as _, Verdict};
+use scopeservo_servo::{
+    FrameRole, Outcome, Reason, RepositionOptions, ServoOptions, Sink as _, Verdict,
+};
 use scopeservo_setup::Config;
 use scopeservo_station::jobs::{RepositionInput, RepositionJob, RepositionOutput};
 use serde_json::json;
@@ -187,6 +189,18 @@ fn foreign_scale(
 fn show_outcome(answer: &Answer, outcome: &Outcome) {
     let verdict = output::word(outcome.verdict);
     say!(answer, "{verdict}: {}", outcome.message);
+    // A calibration that is off looks like a specimen that is.
+    let astray = [
+        Reason::TargetNotInView,
+        Reason::IterationLimit,
+        Reason::Diverged,
+    ];
+    if astray.contains(&outcome.reason) {
+        say!(
+            answer,
+            "  `scopeservo check` over tissue tells whether a calibration is off"
+        );
+    }
     for m in output::magnifications(outcome) {
         match (m.iterations, m.inliers, m.error_um, m.error_deg) {
             (Some(n), Some(inliers), Some(um), Some(deg)) => say!(

@@ -7,6 +7,7 @@ use super::report::GridReport;
 use crate::event::tell;
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
+use crate::one_side::below;
 use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::{grab, gray};
 use crate::{Calibration, ErrorKind, Event, FrameRole, ServoError, Sink};
@@ -15,8 +16,6 @@ use scopeservo_scope::{Axis, Instrument, Objective, ScopeError, StagePose};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Each axis goes up to where it is sent, from so far below: more than a stage has play that a servo could work with. m, m, rad.
-const RUN_UP: [f64; 3] = [50e-6, 50e-6, 2e-4];
 /// Views that were not followed may be so many, at most, of all.
 const LOST: f64 = 0.4;
 /// A stage that goes farther than it says, or less far, by more than this has another unit, or the grid another pitch.
@@ -104,7 +103,7 @@ impl GridCheck {
         let goals = scope.gate().goals()?;
         while let Some(next) = self.todo.pop_front() {
             let pose = place(&start, next);
-            let below = below(&pose);
+            let below = below(&pose, None);
             let reachable = [&below, &pose].map(|p| goals.allow(&p.request(&goals.here)));
             // Home is where the stage stood; without room below it, it goes there straight.
             if reachable[1] || next == Move::Home {
@@ -269,7 +268,7 @@ impl GridCheck {
         let (Some(start), goals) = (self.start, scope.gate().goals()?) else {
             return Ok(());
         };
-        let via = Some(below(&start)).filter(|p| goals.allow(&p.request(&goals.here)));
+        let via = Some(below(&start, None)).filter(|p| goals.allow(&p.request(&goals.here)));
         for pose in via.iter().chain([&start]) {
             scope.move_to(&pose.request(&goals.here))?;
         }
@@ -285,13 +284,6 @@ fn place(start: &PlanarPose, to: Move) -> PlanarPose {
         Move::Turn { by_rad } => pose.theta_rad += by_rad,
     }
     pose
-}
-
-fn below(pose: &PlanarPose) -> PlanarPose {
-    PlanarPose {
-        x_m: [0, 1].map(|k| pose.x_m[k] - RUN_UP[k]),
-        theta_rad: pose.theta_rad - RUN_UP[2],
-    }
 }
 
 impl Procedure for GridCheck {

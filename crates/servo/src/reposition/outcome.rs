@@ -97,8 +97,10 @@ impl Reason {
             ErrorCode::NothingMoves => Self::NothingMoves,
             ErrorCode::Ambiguous => Self::Ambiguous,
             ErrorCode::WrongObjective => Self::WrongObjective,
-            // No run looks at a grid; what it would be is a calibration.
-            ErrorCode::CalibrationFailed | ErrorCode::GridFailed => Self::CalibrationFailed,
+            // No run looks at a grid or checks a calibration; what it would be is one that failed.
+            ErrorCode::CalibrationFailed | ErrorCode::GridFailed | ErrorCode::CheckFailed => {
+                Self::CalibrationFailed
+            }
             ErrorCode::OutsideLimits => Self::OutsideLimits,
             ErrorCode::Refused
             | ErrorCode::Interrupted

@@ -34,8 +34,17 @@ pub fn one_objective() -> Config {
 }
 
 pub fn bench_over(config: Config, specimen: Arc<dyn Specimen>, ranges: Vec<AxisRange>) -> Bench {
+    bench_of(config, specimen, ranges, 5)
+}
+
+fn bench_of(
+    config: Config,
+    specimen: Arc<dyn Specimen>,
+    ranges: Vec<AxisRange>,
+    seed: u64,
+) -> Bench {
     let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-    let twin = Twin::new(config, specimen, 5, clock).unwrap();
+    let twin = Twin::new(config, specimen, seed, clock).unwrap();
     let cancel = CancelToken::new();
     let rules = Rules {
         limits: Limits { ranges },
@@ -52,6 +61,11 @@ pub fn bench_over(config: Config, specimen: Arc<dyn Specimen>, ranges: Vec<AxisR
 
 pub fn bench(config: Config) -> Bench {
     bench_over(config, Arc::new(Tissue::new(7)), Vec::new())
+}
+
+/// The same with other mechanics and noise.
+pub fn bench_seeded(config: Config, seed: u64) -> Bench {
+    bench_of(config, Arc::new(Tissue::new(7)), Vec::new(), seed)
 }
 
 /// A place with tissue all over.

@@ -1,10 +1,10 @@
 //! Any of the jobs, for front ends that take them as data, and for stored ones that go on.
 
 use super::{
-    CalibrateInput, CalibrateJob, CalibrateOutput, DoctorInput, DoctorJob, DoctorOutput,
-    FocusInput, FocusJob, FocusOutput, GridInput, GridJob, GridOutput, IdentifyInput, IdentifyJob,
-    IdentifyOutput, RepositionInput, RepositionJob, RepositionOutput, SaveTargetInput,
-    SaveTargetJob, SaveTargetOutput,
+    CalibrateInput, CalibrateJob, CalibrateOutput, CheckInput, CheckJob, CheckOutput, DoctorInput,
+    DoctorJob, DoctorOutput, FocusInput, FocusJob, FocusOutput, GridInput, GridJob, GridOutput,
+    IdentifyInput, IdentifyJob, IdentifyOutput, RepositionInput, RepositionJob, RepositionOutput,
+    SaveTargetInput, SaveTargetJob, SaveTargetOutput,
 };
 use crate::{JobError, UseCase, Work};
 use scopeservo_servo::{Progress, Target};
@@ -20,6 +20,7 @@ pub enum Request {
     Focus(FocusInput),
     Calibrate(CalibrateInput),
     Grid(GridInput),
+    Check(CheckInput),
     SaveTarget(SaveTargetInput),
     Reposition(RepositionInput),
     Identify(IdentifyInput),
@@ -34,6 +35,7 @@ pub enum Answer {
     Focus(FocusOutput),
     Calibrate(CalibrateOutput),
     Grid(Box<GridOutput>),
+    Check(CheckOutput),
     SaveTarget(Box<SaveTargetOutput>),
     Reposition(RepositionOutput),
     Identify(IdentifyOutput),
@@ -48,6 +50,7 @@ pub enum AnyJob {
     Focus(Box<FocusJob>),
     Calibrate(Box<CalibrateJob>),
     Grid(Box<GridJob>),
+    Check(Box<CheckJob>),
     SaveTarget(Box<SaveTargetJob>),
     Reposition(Box<RepositionJob>),
     Identify(Box<IdentifyJob>),
@@ -67,6 +70,7 @@ impl AnyJob {
             Request::Focus(input) => Self::Focus(Box::new(FocusJob::new(input))),
             Request::Calibrate(input) => Self::Calibrate(Box::new(CalibrateJob::new(input))),
             Request::Grid(input) => Self::Grid(Box::new(GridJob::new(input))),
+            Request::Check(input) => Self::Check(Box::new(CheckJob::new(input))),
             Request::SaveTarget(input) => Self::SaveTarget(Box::new(SaveTargetJob::new(input))),
             Request::Identify(input) => Self::Identify(Box::new(IdentifyJob::new(input))),
             Request::Doctor(input) => Self::Doctor(Box::new(DoctorJob::new(input))),
@@ -91,6 +95,7 @@ impl AnyJob {
             "focus" => Self::Focus(read(state)?),
             "calibrate" => Self::Calibrate(read(state)?),
             "grid" => Self::Grid(read(state)?),
+            "check" => Self::Check(read(state)?),
             "save_target" => Self::SaveTarget(read(state)?),
             "identify" => Self::Identify(read(state)?),
             "reposition" => Self::Reposition(read(state)?),
@@ -135,6 +140,7 @@ impl UseCase for AnyJob {
             Self::Focus(job) => job.kind(),
             Self::Calibrate(job) => job.kind(),
             Self::Grid(job) => job.kind(),
+            Self::Check(job) => job.kind(),
             Self::SaveTarget(job) => job.kind(),
             Self::Reposition(job) => job.kind(),
             Self::Identify(job) => job.kind(),
@@ -147,6 +153,7 @@ impl UseCase for AnyJob {
             Self::Focus(job) => job.can_go_on(),
             Self::Calibrate(job) => job.can_go_on(),
             Self::Grid(job) => job.can_go_on(),
+            Self::Check(job) => job.can_go_on(),
             Self::SaveTarget(job) => job.can_go_on(),
             Self::Reposition(job) => job.can_go_on(),
             Self::Identify(job) => job.can_go_on(),
@@ -159,6 +166,7 @@ impl UseCase for AnyJob {
             Self::Focus(job) => answer(job.step(work)?, Answer::Focus),
             Self::Calibrate(job) => answer(job.step(work)?, Answer::Calibrate),
             Self::Grid(job) => answer(job.step(work)?, |told| Answer::Grid(Box::new(told))),
+            Self::Check(job) => answer(job.step(work)?, Answer::Check),
             Self::SaveTarget(job) => {
                 answer(job.step(work)?, |saved| Answer::SaveTarget(Box::new(saved)))
             }

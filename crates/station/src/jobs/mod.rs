@@ -5,6 +5,7 @@
 
 mod any;
 mod calibrate;
+mod check;
 mod doctor;
 mod focus;
 mod grid;
@@ -14,6 +15,7 @@ mod save_target;
 
 pub use any::{Answer, AnyJob, Request, StoredError};
 pub use calibrate::{CalibrateInput, CalibrateJob, CalibrateOutput};
+pub use check::{CheckInput, CheckJob, CheckOutput, Checked};
 pub use doctor::{
     Check, DoctorInput, DoctorJob, DoctorOutput, Finding, Trouble, look_by_small_moves,
 };

@@ -1,0 +1,184 @@
+//! `scopeservo check`.
+
+use super::known_calibrations;
+use crate::answer::Answer;
+use crate::args::CheckArgs;
+use crate::error::CliError;
+use crate::journal::Asked;
+use crate::open_instrument::OpenInstrument;
+use crate::output::{change_in_words, changes_in_words};
+use crate::progress::Watcher;
+use scopeservo_library::Calibrations as _;
+use scopeservo_scope::ObjectiveId;
+use scopeservo_servo::{Broken, Changing, SelfTestReport, SelfTestVerdict, Together};
+use scopeservo_station::jobs::{CheckInput, CheckJob, CheckOutput, Checked};
+use serde_json::{Value, json};
+
+pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError> {
+    let focus = args.focusing.options()?;
+    let opened = OpenInstrument::open(&args.instrument, answer)?;
+    opened.check_nothing_waits()?;
+    let named: Vec<ObjectiveId> = args.objective.iter().cloned().map(ObjectiveId).collect();
+    let wanted = |id: &ObjectiveId| named.is_empty() || named.contains(id);
+    for objective in opened.scope.gate().objectives() {
+        // One that is damaged is not left out in silence.
+        if wanted(&objective.id) {
+            opened.library.calibration(objective)?;
+        }
+    }
+    let mut calibrations = known_calibrations(&opened, answer);
+    for id in &named {
+        opened.scope.objective(id)?;
+        if calibrations.iter().all(|c| c.objective != *id) {
+            let what =
+                format!("no calibration of {id} is kept: `scopeservo calibrate --objective {id}`");
+            return Err(CliError::Usage(what));
+        }
+    }
+    calibrations.retain(|c| wanted(&c.objective));
+    if calibrations.is_empty() {
+        let what = "no calibration of this instrument and camera is kept: `scopeservo calibrate`";
+        return Err(CliError::Usage(what.into()));
+    }
+    let input = CheckInput {
+        calibrations,
+        focus: (!args.no_focus).then_some(focus),
+        ..CheckInput::default()
+    };
+    let asked = Asked {
+        inputs: json!(input),
+        ..Asked::default()
+    };
+    run(&opened, CheckJob::new(input), asked, answer)
+}
+
+/// Runs the job, from its beginning or from where it was.
+pub(super) fn run(
+    opened: &OpenInstrument,
+    job: CheckJob,
+    asked: Asked,
+    answer: &Answer,
+) -> Result<bool, CliError> {
+    let ran = opened.run(job, asked, &mut Watcher::new(None), answer)?;
+    if let Ok(output) = &ran.output {
+        show(answer, output);
+    }
+    Ok(ran.end(None, answer)?.all_good())
+}
+
+fn show(answer: &Answer, output: &CheckOutput) {
+    let all: Vec<Value> = output.checked.iter().map(entry).collect();
+    answer.put(json!({
+        "checked": all,
+        "together": output.together,
+        "ok": output.all_good(),
+    }));
+    for checked in &output.checked {
+        match checked {
+            Checked::Told(report) => show_one(answer, report),
+            Checked::Unclear {
+                objective, message, ..
+            } => say!(answer, "{objective}: not told: {message}"),
+        }
+    }
+    if let Some(words) = together(output) {
+        say!(answer, "{words}");
+    }
+}
+
+/// The keys of one objective.
+fn entry(checked: &Checked) -> Value {
+    match checked {
+        Checked::Told(report) => json!(report),
+        Checked::Unclear {
+            objective,
+            code,
+            message,
+        } => json!({
+            "objective": objective,
+            "verdict": "unclear",
+            "code": code,
+            "message": message,
+        }),
+    }
+}
+
+fn show_one(answer: &Answer, report: &SelfTestReport) {
+    let verdict = match report.verdict {
+        SelfTestVerdict::Good => "good",
+        SelfTestVerdict::Drifted => "drifted, calibrate soon",
+        SelfTestVerdict::Replace => "replace, calibrate",
+    };
+    say!(
+        answer,
+        "{}: {verdict}: {}; one move is expected to end {:.2} um off",
+        report.objective,
+        changed(report),
+        // What it would miss by counts only where it was seen for sure.
+        match report.verdict {
+            SelfTestVerdict::Good => report.expected_error_um,
+            _ => report.expected_error_um.hypot(report.misses_um),
+        }
+    );
+}
+
+fn changed(report: &SelfTestReport) -> String {
+    match report.broken {
+        Some(Broken::OtherHand) => {
+            "the image is mirrored against the stage otherwise than it says".into()
+        }
+        Some(Broken::CentreLost) => {
+            "the view was lost however little the stage turned: the axis of rotation lies elsewhere, or the rotation does not do what it says"
+                .into()
+        }
+        None => changes_in_words(&report.changes),
+    }
+}
+
+/// Which objective disagrees, and what to do.
+fn together(output: &CheckOutput) -> Option<String> {
+    let of = |id: &ObjectiveId| {
+        let all = output.checked.iter().filter_map(|c| match c {
+            Checked::Told(report) => Some(&**report),
+            Checked::Unclear { .. } => None,
+        });
+        let mut those = all.filter(|report| report.objective == *id);
+        those
+            .next()
+            .map_or(String::new(), |report| match report.broken {
+                Some(_) => changed(report),
+                None => {
+                    let sure: Vec<String> =
+                        report.sure_changes().iter().map(change_in_words).collect();
+                    sure.join(", ")
+                }
+            })
+    };
+    Some(match &output.together {
+        Together::None => return None,
+        Together::Alone { objective } => format!(
+            "{objective} alone disagrees: {}. `scopeservo calibrate --objective {objective}`",
+            of(objective)
+        ),
+        Together::Alike { what } => {
+            let why = match what.as_slice() {
+                [Changing::AngleDeg] => "the camera was turned",
+                [Changing::ScalePercent] => "the camera was binned or changed, or the stage's unit",
+                _ => "the camera was turned and binned or changed, or the stage's unit changed",
+            };
+            format!("all are off by the same: {why}. `scopeservo calibrate`")
+        }
+        Together::Some { objectives } => {
+            let each: Vec<String> = objectives
+                .iter()
+                .map(|id| {
+                    format!(
+                        "{id} disagrees: {}. `scopeservo calibrate --objective {id}`",
+                        of(id)
+                    )
+                })
+                .collect();
+            each.join("\n")
+        }
+    })
+}

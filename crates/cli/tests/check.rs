@@ -1,0 +1,109 @@
+//! `scopeservo check` and `scopeservo calibrations`, as a user runs them.
+
+mod common;
+
+use common::{assert_bad_input, code, describe, json, ok, scopeservo, stderr};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+const STAGE: &str = "stage = \"xy\"\nobjectives = [\"20x\", \"40x\"]\n";
+
+fn files(here: &Path, objective: &str) -> Vec<PathBuf> {
+    let folder = here.join("scopeservo-data/calibrations").join(objective);
+    let mut all: Vec<PathBuf> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
+    all.sort();
+    all
+}
+
+/// A later calibration of 40x that is the first one, changed.
+fn keep_changed(here: &Path, change: impl FnOnce(&mut Value)) -> PathBuf {
+    let first = &files(here, "40x")[0];
+    let mut kept: Value = serde_json::from_slice(&std::fs::read(first).unwrap()).unwrap();
+    change(&mut kept["calibration"]);
+    let path = first.with_file_name("000007_2099-01-01T00-00-00Z.json");
+    std::fs::write(&path, kept.to_string()).unwrap();
+    path
+}
+
+#[test]
+fn the_objective_that_alone_is_off_is_named_and_all_that_is_kept_is_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    describe(here, STAGE);
+    // None is kept yet.
+    assert_bad_input(here, &["check"]);
+    assert_eq!(
+        ok(here, &["calibrations", "--json"])["history"],
+        Value::Array(vec![])
+    );
+    let two_step = ["calibrate", "--no-focus", "--json", "--method", "two-step"];
+    ok(here, &two_step);
+    let check = ["check", "--no-focus", "--json"];
+    let good = ok(here, &check);
+    assert_eq!(good["ok"], true, "{good}");
+    assert_eq!(good["together"]["disagree"], "none");
+    let all = good["checked"].as_array().unwrap();
+    assert!(
+        all.len() == 2 && all.iter().all(|c| c["verdict"] == "good"),
+        "{good}"
+    );
+
+    let changed = keep_changed(here, |c| {
+        for k in 0..4 {
+            let v = &mut c["stage_from_pixel"][k / 2][k % 2];
+            *v = (0.95 * v.as_f64().unwrap()).into();
+        }
+    });
+    let off = scopeservo(here, &check);
+    assert_eq!(code(&off), 3, "{}", stderr(&off));
+    let off = json(&off);
+    assert!(off.get("error").is_none() && off["ok"] == false, "{off}");
+    assert_eq!(off["together"]["disagree"], "alone", "{off}");
+    assert_eq!(off["together"]["objective"], "40x");
+    assert_eq!(off["checked"][0]["verdict"], "good");
+    assert_eq!(off["checked"][1]["verdict"], "drifted");
+    let lines = scopeservo(here, &check[..2]);
+    let lines = String::from_utf8_lossy(&lines.stdout).into_owned();
+    assert!(lines.contains("40x alone disagrees: scale +5."), "{lines}");
+
+    let history = ok(here, &["calibrations", "--objective", "40x", "--json"]);
+    let [first, second] = history["history"].as_array().unwrap().as_slice() else {
+        panic!("{history}");
+    };
+    assert!(first["in_use"] == false && second["in_use"] == true);
+    assert_eq!(
+        second["file"],
+        changed
+            .strip_prefix(here)
+            .unwrap_or(&changed)
+            .to_str()
+            .unwrap()
+    );
+    let scale = &second["changes"][0];
+    assert_eq!(scale["what"], "scale_percent");
+    assert!(
+        (scale["by"].as_f64().unwrap() + 5.0).abs() < 1e-6,
+        "{scale}"
+    );
+
+    // What cannot be is told, and nothing is done by it.
+    let impossible = keep_changed(here, |c| c["scatter"] = serde_json::json!([-1e-7, 0, 0]));
+    let refused = scopeservo(here, &check);
+    assert_eq!(code(&refused), 2);
+    let said = json(&refused)["error"].clone();
+    assert_eq!(said["code"], "damaged");
+    assert!(
+        said["message"]
+            .as_str()
+            .unwrap()
+            .contains("standard deviation"),
+        "{said}"
+    );
+    let history = ok(here, &["calibrations", "--json"]);
+    assert_eq!(history["history"].as_array().unwrap().len(), 2);
+    let name = impossible.file_name().unwrap().to_str().unwrap();
+    assert!(history["warnings"].to_string().contains(name), "{history}");
+}
