@@ -13,9 +13,11 @@ const STAYED: u32 = 2;
 pub(super) struct FixedOnSensor(Vec<([f32; 2], u32)>);
 
 impl FixedOnSensor {
-    fn near(&self, [x, y]: [f32; 2]) -> Option<usize> {
-        let near = |p: &[f32; 2]| f64::from(f32::hypot(p[0] - x, p[1] - y)) <= LEAST_PX;
-        self.0.iter().position(|(p, _)| near(p))
+    /// The known places near one, by index, with how far they are, px.
+    fn near(&self, [x, y]: [f32; 2]) -> impl Iterator<Item = (usize, f32)> {
+        let off = move |p: &[f32; 2]| f32::hypot(p[0] - x, p[1] - y);
+        let all = self.0.iter().map(move |(p, _)| off(p)).enumerate();
+        all.filter(|(_, off_px)| f64::from(*off_px) <= LEAST_PX)
     }
 
     /// Something stayed in a pair of views that moved for sure, at each of these places.
@@ -23,11 +25,11 @@ impl FixedOnSensor {
         let mut here: Vec<usize> = Vec::new();
         for c in places {
             let p = c.p_in_b.map(|v| v as f32);
-            let k = self.near(p).unwrap_or_else(|| {
+            let nearest = self.near(p).min_by(|a, b| a.1.total_cmp(&b.1));
+            here.push(nearest.map_or(self.0.len(), |(k, _)| k));
+            if nearest.is_none() {
                 self.0.push((p, 0));
-                self.0.len() - 1
-            });
-            here.push(k);
+            }
         }
         here.sort_unstable();
         here.dedup();
@@ -38,7 +40,7 @@ impl FixedOnSensor {
 
     /// Whether what is at a place is known to be fixed to the camera.
     pub(super) fn holds(&self, place: [f32; 2]) -> bool {
-        self.near(place).is_some_and(|k| self.0[k].1 >= STAYED)
+        self.near(place).any(|(k, _)| self.0[k].1 >= STAYED)
     }
 
     /// The same of a feature.
@@ -66,5 +68,16 @@ mod tests {
         assert!(!fixed.holds([10.0, 5.0]));
         fixed.stayed([at(10.1), at(90.0)].iter());
         assert!(fixed.holds([10.0, 5.0]) && !fixed.holds([90.0, 5.0]));
+    }
+
+    #[test]
+    fn a_place_that_was_seen_once_does_not_hide_a_fixed_one_beside_it() {
+        let mut fixed = FixedOnSensor::default();
+        fixed.stayed([at(10.0)].iter());
+        fixed.stayed([at(14.0)].iter());
+        fixed.stayed([at(13.0)].iter());
+        // Near both: the nearer one stayed twice.
+        assert!(fixed.holds([12.5, 5.0]));
+        assert!(!fixed.holds([9.0, 5.0]));
     }
 }
