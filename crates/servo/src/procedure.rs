@@ -28,6 +28,18 @@ pub trait Procedure {
     ) -> Result<Progress<Self::Output>, ServoError>;
 }
 
+/// What the images have not shown leaves a stage that can go home; a stop or a fault leaves it where it is. What fails on the way is told
+/// instead.
+pub(crate) fn home_after_an_answer<T>(
+    ended: Result<T, ServoError>,
+    go_home: impl FnOnce() -> Result<(), ServoError>,
+) -> Result<T, ServoError> {
+    match ended {
+        Err(error) if error.kind() == ErrorKind::Answer => go_home().and(Err(error)),
+        ended => ended,
+    }
+}
+
 /// What a procedure that looks for the focus, or for what needs one, leaves when it fails: a stage that does not stand nearer to the
 /// specimen than the command found it. After a stop that somebody asked for nothing moves.
 pub(crate) fn withdrawn<T>(

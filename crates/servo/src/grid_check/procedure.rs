@@ -8,9 +8,9 @@ use crate::event::tell;
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
 use crate::one_side::below;
-use crate::procedure::{Procedure, Progress, withdrawn};
+use crate::procedure::{Procedure, Progress, home_after_an_answer, withdrawn};
 use crate::vision::{grab, gray};
-use crate::{Calibration, ErrorKind, Event, FrameRole, ServoError, Sink};
+use crate::{Calibration, Event, FrameRole, ServoError, Sink};
 use scopeservo_registration::{NoGrid, find_grid, follow_grid};
 use scopeservo_scope::{Axis, Instrument, Objective, ScopeError, StagePose};
 use serde::{Deserialize, Serialize};
@@ -294,14 +294,7 @@ impl Procedure for GridCheck {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<GridReport>, ServoError> {
-        let mut ended = self.work(scope, sink);
-        // What the images have not shown leaves a stage that can go home; a stop or a fault leaves it where it is.
-        if let Err(error) = &ended
-            && error.kind() == ErrorKind::Answer
-            && let Err(worse) = self.go_home(scope)
-        {
-            ended = Err(worse);
-        }
-        withdrawn(scope, ended)
+        let ended = self.work(scope, sink);
+        withdrawn(scope, home_after_an_answer(ended, || self.go_home(scope)))
     }
 }

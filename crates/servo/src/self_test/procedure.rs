@@ -5,11 +5,11 @@ use crate::event::tell;
 use crate::hand_eye::{Observation, pose_sigma};
 use crate::kinematics::{Motion2, PlanarPose, pose_after};
 use crate::one_side::below;
-use crate::procedure::{Procedure, Progress, withdrawn};
+use crate::procedure::{Procedure, Progress, home_after_an_answer, withdrawn};
 use crate::proof::stays;
 use crate::target::MIN_TARGET_FEATURES;
 use crate::vision::{centre_px, grab, gray, same_objective};
-use crate::{Calibration, ErrorKind, Event, FrameRole, ServoError, Sink, VisionOptions};
+use crate::{Calibration, Event, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_features::Features;
 use scopeservo_geometry::{Mat2, Vec2};
 use scopeservo_registration::{
@@ -386,14 +386,7 @@ impl Procedure for SelfTest {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<SelfTestReport>, ServoError> {
-        let mut ended = self.work(scope, sink);
-        // What the images have not shown leaves a stage that can go home; a stop or a fault leaves it where it is.
-        if let Err(error) = &ended
-            && error.kind() == ErrorKind::Answer
-            && let Err(worse) = self.go_home(scope)
-        {
-            ended = Err(worse);
-        }
-        withdrawn(scope, ended)
+        let ended = self.work(scope, sink);
+        withdrawn(scope, home_after_an_answer(ended, || self.go_home(scope)))
     }
 }

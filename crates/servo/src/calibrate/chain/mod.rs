@@ -10,8 +10,8 @@ use super::joint::{JointFit, Known, Next, Pair, Priors, Role, Taken, View, fit, 
 use crate::event::tell;
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
-use crate::procedure::Progress;
-use crate::{CalibrateOptions, Calibration, ErrorKind, Event, ServoError, Sink, VisionOptions};
+use crate::procedure::{Progress, home_after_an_answer};
+use crate::{CalibrateOptions, Calibration, Event, ServoError, Sink, VisionOptions};
 use fixed::FixedOnSensor;
 use pair::Place;
 use scopeservo_features::Features;
@@ -85,13 +85,7 @@ impl Chain {
         sink: &mut dyn Sink,
     ) -> Result<Progress<Calibration>, ServoError> {
         let ended = self.work(scope, sink);
-        // What the images have not shown leaves a stage that can go home; a stop or a fault leaves it where it is.
-        if let Err(error) = &ended
-            && error.kind() == ErrorKind::Answer
-        {
-            self.go_home(scope)?;
-        }
-        ended
+        home_after_an_answer(ended, || self.go_home(scope))
     }
 
     fn work(

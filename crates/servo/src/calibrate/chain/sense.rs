@@ -232,24 +232,23 @@ impl Chain {
         };
         let allowed_px = ASTRAY_PX + ASTRAY_SIGMAS * stated_px;
         let [columns, rows] = known.image_size_px.map(|n| n as f64);
-        for (taken, place) in self.taken.iter().zip(&self.places) {
-            if taken.role != Role::Home {
-                continue;
-            }
-            let Some(place) = place else {
-                return Err(self.astray(scope, None));
-            };
-            let poses = [first.0, taken].map(|t| standing(t, fit.instrument.backlash));
-            let Some([x, y, angle_rad]) = known.shows(&poses[0], &poses[1], fit) else {
-                continue;
-            };
-            let turned_px = 0.5 * f64::hypot(columns, rows) * (place.angle_rad - angle_rad).abs();
-            let off_px = f64::hypot(place.centre_px[0] - x, place.centre_px[1] - y).max(turned_px);
-            if off_px > allowed_px {
-                return Err(self.astray(scope, Some(off_px * calibration.um_per_px())));
-            }
+        let mut all = self.taken.iter().zip(&self.places);
+        let Some((taken, place)) = all.find(|(taken, _)| taken.role == Role::Home) else {
+            return Ok(());
+        };
+        let Some(place) = place else {
+            return Err(self.astray(scope, None));
+        };
+        let poses = [first.0, taken].map(|t| standing(t, fit.instrument.backlash));
+        let Some([x, y, angle_rad]) = known.shows(&poses[0], &poses[1], fit) else {
+            return Ok(());
+        };
+        let turned_px = 0.5 * f64::hypot(columns, rows) * (place.angle_rad - angle_rad).abs();
+        let off_px = f64::hypot(place.centre_px[0] - x, place.centre_px[1] - y).max(turned_px);
+        match off_px > allowed_px {
+            true => Err(self.astray(scope, Some(off_px * calibration.um_per_px()))),
+            false => Ok(()),
         }
-        Ok(())
     }
 }
 
