@@ -13,7 +13,7 @@ mod table;
 use clap::Parser;
 use scopeservo_servo::Measure;
 use scopeservo_studies::rounds::{Outcome, rounds, threads};
-use start::{Record, Start};
+use start::{Kind, Record, Start, Without};
 use std::fs;
 use std::path::PathBuf;
 
@@ -32,6 +32,12 @@ struct Args {
     /// Starts on glass without a specimen, with and without dust: none may be in focus.
     #[arg(long)]
     blank: bool,
+    /// Only with this objective: 10x, 20x or 40x, a third of the starts.
+    #[arg(long, value_parser = ["10x", "20x", "40x"])]
+    objective: Option<String>,
+    /// Spares the starts this cause of error: what is missing then is its share.
+    #[arg(long, value_delimiter = ',')]
+    without: Vec<Without>,
     /// Threads; all processors unless told.
     #[arg(long, default_value_t = 0)]
     threads: usize,
@@ -39,6 +45,9 @@ struct Args {
     #[arg(long, default_value = "target/focus")]
     out: PathBuf,
 }
+
+/// In the order of the starts.
+const OBJECTIVES: [&str; 3] = ["10x", "20x", "40x"];
 
 fn measure(text: &str) -> Result<Measure, String> {
     serde_json::from_value(text.into())
@@ -48,26 +57,41 @@ fn measure(text: &str) -> Result<Measure, String> {
 fn main() -> Outcome<()> {
     let mut args = Args::parse();
     args.threads = threads(args.threads)?;
-    let kind = if args.blank { "blank" } else { "starts" };
     let measure = serde_json::to_value(args.measure)?;
-    let name = format!("{kind}-{}.jsonl", measure.as_str().unwrap_or_default());
+    let mut name = vec![if args.blank { "blank" } else { "starts" }.to_string()];
+    name.extend(measure.as_str().map(String::from));
+    for (without, word) in [
+        (Without::Scatter, "no_scatter"),
+        (Without::Noise, "no_noise"),
+    ] {
+        name.extend(args.without.contains(&without).then(|| word.into()));
+    }
+    let kind = Kind {
+        blank: args.blank,
+        without: args.without,
+    };
     fs::create_dir_all(&args.out)?;
-    let path = args.out.join(name);
+    let path = args.out.join(format!("{}.jsonl", name.join("-")));
+    // Objectives go in turns.
+    let objective = args
+        .objective
+        .and_then(|id| OBJECTIVES.iter().position(|o| *o == id));
+    let wanted = |k: &u64| objective.is_none_or(|o| k % OBJECTIVES.len() as u64 == o as u64);
     let records = match args.only {
         Some(index) => {
-            let record = Start::draw(index, args.blank)?.run(args.measure, true)?;
+            let record = Start::draw(index, &kind)?.run(args.measure, true)?;
             println!("{}", serde_json::to_string_pretty(&record)?);
             vec![record]
         }
         None => rounds(
             &path,
-            &(0..args.count).collect::<Vec<_>>(),
+            &(0..args.count).filter(wanted).collect::<Vec<_>>(),
             args.threads,
             |r: &Record| r.index,
-            |k| Start::draw(k, args.blank)?.run(args.measure, false),
+            |k| Start::draw(k, &kind)?.run(args.measure, false),
         )?,
     };
-    let harmed = table::print(&records, args.blank);
+    let harmed = table::print(&records, kind.blank);
     if harmed > 0 {
         std::process::exit(1);
     }

@@ -1,6 +1,7 @@
 //! One start: a microscope, a specimen, a height, and what focus made of it. The truth only judges.
 
 use crate::Outcome;
+use clap::ValueEnum;
 use scopeservo_geometry::SplitMix64;
 use scopeservo_scope::{Axis, CancelToken, Clock, Frame, Instrument, StagePose, VirtualClock};
 use scopeservo_servo::{
@@ -25,6 +26,8 @@ const SLIDES: [(&str, f64, f64); 6] = [
 const WITHIN_UM: f64 = 200.0;
 /// A place has enough to see when its true view varies by this share of its light.
 const VARIES: f64 = 0.03;
+/// So many arrivals tell their mean.
+const ARRIVALS: u32 = 40;
 const WAVELENGTH_UM: f64 = 0.55;
 
 /// Prints samples.
@@ -37,6 +40,23 @@ impl Sink for Trace {
         }
     }
     fn frame(&mut self, _: &Frame, _: FrameRole) {}
+}
+
+/// What a start is spared, so that its share of the error shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Without {
+    /// Arrivals that scatter, vibration, drift; backlash stays.
+    Scatter,
+    /// Shot and read noise.
+    Noise,
+}
+
+/// What kind of starts.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Kind {
+    /// On glass without a specimen.
+    pub(crate) blank: bool,
+    pub(crate) without: Vec<Without>,
 }
 
 /// What one start came to.
@@ -54,6 +74,8 @@ pub(crate) struct Record {
     pub(crate) answer: String,
     /// Defocus at the end, um.
     pub(crate) end_um: f64,
+    /// The part of that by which this arrival at the height differs from the mean of many, um: the rest is the height's.
+    pub(crate) arrival_um: f64,
     pub(crate) depth_um: f64,
     pub(crate) claimed_sigma_um: Option<f64>,
     pub(crate) frames: u64,
@@ -111,9 +133,10 @@ fn place(rng: &mut SplitMix64, kind: usize) -> [f64; 2] {
 }
 
 impl Start {
-    pub(crate) fn draw(index: u64, blank: bool) -> Outcome<Self> {
+    pub(crate) fn draw(index: u64, kind: &Kind) -> Outcome<Self> {
         let mut rng = SplitMix64::new(0x00F0_C005 ^ index.wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        let (objective, kind) = ((index % 3) as usize, (index / 3 % 6) as usize);
+        let blank = kind.blank;
+        let (objective, slide_of) = ((index % 3) as usize, (index / 3 % 6) as usize);
         let noise = 0.0025 * f64::powf(4.0, rng.uniform());
         let play_um = if rng.uniform() < 0.3 {
             0.0
@@ -123,6 +146,13 @@ impl Start {
         let start_um = (2.0 * rng.uniform() - 1.0) * WITHIN_UM;
         let mut config = Config::realistic();
         config.camera.full_well_e = 0.5 / (noise * noise);
+        if kind.without.contains(&Without::Noise) {
+            config.camera.shot_noise = false;
+            config.camera.read_noise_e = 0.0;
+        }
+        if kind.without.contains(&Without::Scatter) {
+            config.stage = config.stage.exact();
+        }
         for axis in &mut config.stage.axes {
             if axis.axis == Axis::Z {
                 axis.backlash = play_um;
@@ -146,7 +176,7 @@ impl Start {
                 let dust = if dusty { "glass with dust" } else { "glass" };
                 (dust.into(), Arc::new(Blank), 1.0)
             }
-            false => slide(kind)?,
+            false => slide(slide_of)?,
         };
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
         let twin = Twin::new(config, over, index, clock)?;
@@ -162,7 +192,7 @@ impl Start {
             start_um,
             again_um: rng.uniform() * 2.0 - 1.0,
         };
-        start.prepare(&mut rng, kind, blank, faded)?;
+        start.prepare(&mut rng, slide_of, blank, faded)?;
         Ok(start)
     }
 
@@ -205,6 +235,24 @@ impl Start {
         Ok(())
     }
 
+    /// Mean defocus of many arrivals at the present height from the side away from the specimen, um; the drift of that time taken off.
+    fn mean_of_arrivals(&self) -> Outcome<f64> {
+        let z = self.scope.gate().position()?.si(Axis::Z).ok_or("no z")?;
+        let begun = self.scope.clock().now();
+        let rate = self.twin.config().stage.drift_um_per_s[2];
+        let mut sum = 0.0;
+        for _ in 0..ARRIVALS {
+            for away_um in [20.0, 0.0] {
+                let si = self.scope.gate().info().positive_z.away(z, away_um * 1e-6);
+                self.scope
+                    .move_to(&StagePose::default().with_si(Axis::Z, si))?;
+            }
+            let passed = self.scope.clock().now().since(begun).as_secs_f64();
+            sum += self.twin.truth_now().defocus_um - rate * passed;
+        }
+        Ok(sum / f64::from(ARRIVALS))
+    }
+
     /// `trace`: prints each sample.
     pub(crate) fn run(self, measure: Measure, trace: bool) -> Outcome<Record> {
         let objective = self.scope.gate().objectives()[self.objective].clone();
@@ -240,6 +288,10 @@ impl Start {
             Err(ServoError::FocusAtLimit { .. }) => "at_limit".into(),
             Err(other) => other.to_string(),
         };
+        let arrival_um = match told.as_str() {
+            "focused" => end_um - self.mean_of_arrivals()?,
+            _ => 0.0,
+        };
         let again = match told.as_str() {
             "focused" => {
                 self.go_to_defocus(end_um + 3.0 * self.again_um * depth_um)?;
@@ -259,6 +311,7 @@ impl Start {
             start_um,
             answer: told,
             end_um,
+            arrival_um,
             depth_um,
             claimed_sigma_um,
             frames,
