@@ -1,8 +1,8 @@
-//! Sharpness against height, and its peak.
+//! Sharpness against height.
 
 use super::measure::FocusMeasure;
+use super::peak::Peak;
 use super::sample::{Cells, Sample, constant};
-use scopeservo_geometry::least_squares;
 
 /// What changes by less than this share, beyond noise, may be the lamp, or the room.
 const SHAKES: f64 = 0.01;
@@ -138,126 +138,13 @@ impl Curve {
         ways.fold(0.0, f64::max)
     }
 
-    /// Where the top lies by the samples beside the sharpest, between them.
-    pub(crate) fn rough_top(&self, best: usize) -> f64 {
+    /// Where the top lies by the samples beside the sharpest, between them. `usual_um`: as for [`Peak::of`].
+    pub(crate) fn rough_top(&self, best: usize, usual_um: f64) -> f64 {
         let around = &self.0[best.saturating_sub(1)..(best + 2).min(self.0.len())];
-        let top = Peak::of(around).map(|peak| peak.z_um);
+        let top = Peak::of(around, usual_um).map(|peak| peak.z_um);
         let (first, last) = (around[0].z_um, around[around.len() - 1].z_um);
         top.map_or(self.0[best].z_um, |z| z.clamp(first, last))
     }
-}
-
-/// A fitted peak.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Peak {
-    pub(crate) z_um: f64,
-    /// Standard deviation of that, by the scatter about the fit, or by the noise of the samples where that is more.
-    pub(crate) sigma_um: f64,
-    /// Share of the samples' variation that the fit explains.
-    pub(crate) goodness: f64,
-}
-
-impl Peak {
-    /// The lowest place of a curve through one over the root of the values: about a focus the blur's variance grows with the square of
-    /// the height. With five points or more a cubic, as the blur on the one side is not that on the other. `None` where it does not bend
-    /// so.
-    pub(crate) fn of(points: &[Point]) -> Option<Self> {
-        let middle = points.iter().map(|p| p.z_um).sum::<f64>() / points.len() as f64;
-        let off = points.iter().map(|p| (p.z_um - middle).abs());
-        let reach = off.fold(0.0, f64::max);
-        if points.len() < 3 || reach <= 0.0 {
-            return None;
-        }
-        let top = points.iter().map(|p| p.value).fold(0.0, f64::max);
-        let rows: Vec<[f64; 3]> = points
-            .iter()
-            .map(|p| {
-                let value = (p.value / top).max(p.sigma / top).max(1e-6);
-                // What is far down the slope weighs little: by the change of the blur with the value.
-                [(p.z_um - middle) / reach, value.powf(-0.5), value.powf(1.5)]
-            })
-            .collect();
-        // What the noise of the samples is in these rows; few samples may scatter less by chance.
-        let noises = points.iter().map(|p| (0.5 * p.sigma / top).powi(2));
-        let noise = noises.sum::<f64>() / points.len() as f64;
-        let (by_parabola, cubic) = (fitted::<3>(&rows, noise)?, fitted::<4>(&rows, noise));
-        let fit = match cubic.filter(|_| points.len() >= 5) {
-            Some(cubic) if (cubic.u - by_parabola.u).abs() < FAR_APART => cubic,
-            _ => by_parabola,
-        };
-        Some(Self {
-            z_um: middle + reach * fit.u,
-            sigma_um: reach * fit.sigma,
-            goodness: fit.goodness,
-        })
-    }
-}
-
-/// A cubic that has its lowest place this far from the parabola's, in half-widths of what was fitted, follows noise.
-const FAR_APART: f64 = 0.5;
-
-/// The lowest place of a fitted polynomial.
-struct Lowest {
-    u: f64,
-    sigma: f64,
-    goodness: f64,
-}
-
-/// A polynomial of N coefficients through rows of place, value and weight, and its lowest place within. `noise`: variance of a row.
-fn fitted<const N: usize>(rows: &[[f64; 3]], noise: f64) -> Option<Lowest> {
-    let powers = |u: f64| std::array::from_fn::<f64, N, _>(|k| u.powi(k as i32));
-    let equations: Vec<([f64; N], f64)> = rows
-        .iter()
-        .map(|&[u, value, weight]| (powers(u).map(|p| weight * p), weight * value))
-        .collect();
-    let (c, covariance) = least_squares(&equations)?;
-    let slope = |u: f64| {
-        (1..N)
-            .map(|k| k as f64 * c[k] * u.powi(k as i32 - 1))
-            .sum::<f64>()
-    };
-    let bend = |u: f64| {
-        let term = |k: usize| (k * (k - 1)) as f64 * c[k] * u.powi(k as i32 - 2);
-        (2..N).map(term).sum::<f64>()
-    };
-    // Newton's steps from the parabola's part.
-    let mut u = -c[1] / (2.0 * c[2]);
-    for _ in 0..20 {
-        let step = slope(u) / bend(u);
-        u -= step;
-        if step.abs() < 1e-9 {
-            break;
-        }
-    }
-    if !(bend(u) > 0.0 && u.abs() <= 3.0) {
-        return None;
-    }
-    let squares: f64 = equations
-        .iter()
-        .map(|(row, seen)| (seen - (0..N).map(|k| row[k] * c[k]).sum::<f64>()).powi(2))
-        .sum();
-    let mean = rows.iter().map(|r| r[1]).sum::<f64>() / rows.len() as f64;
-    let all: f64 = rows.iter().map(|r| (r[2] * (r[1] - mean)).powi(2)).sum();
-    let scale = (squares / (rows.len() as f64 - N as f64).max(1.0)).max(noise);
-    // du = -(the change of the slope at u) / bend.
-    let gradient: [f64; N] = std::array::from_fn(|k| {
-        if k == 0 {
-            0.0
-        } else {
-            k as f64 * u.powi(k as i32 - 1)
-        }
-    });
-    let mut variance = 0.0;
-    for i in 0..N {
-        for j in 0..N {
-            variance += gradient[i] * covariance[i][j] * gradient[j];
-        }
-    }
-    Some(Lowest {
-        u,
-        sigma: (scale * variance.max(0.0)).sqrt() / bend(u),
-        goodness: 1.0 - squares / all.max(f64::MIN_POSITIVE),
-    })
 }
 
 #[cfg(test)]
@@ -273,41 +160,10 @@ mod tests {
     }
 
     #[test]
-    fn the_peak_of_a_blurred_image_lies_between_its_samples() {
-        // A band's power behind a Gaussian blur: 1 over the variance squared.
-        for top in [-0.4, 0.0, 0.3] {
-            let points: Vec<Point> = (-2..=2)
-                .map(|k| {
-                    let z = f64::from(k);
-                    point(z, 3e-4 / (1.0 + 0.5 * (z - top) * (z - top)).powi(2))
-                })
-                .collect();
-            let peak = Peak::of(&points).unwrap();
-            assert!((peak.z_um - top).abs() < 0.02, "{top}: {peak:?}");
-            assert!(peak.goodness > 0.99 && peak.sigma_um < 0.1, "{peak:?}");
-        }
-    }
-
-    #[test]
-    fn a_blur_that_is_wider_on_one_side_does_not_move_the_peak() {
-        for top in [-0.3, 0.0, 0.2] {
-            let points: Vec<Point> = (-2..=2)
-                .map(|k| {
-                    let z = f64::from(k) - top;
-                    let wider = if z > 0.0 { 1.6 } else { 1.0 };
-                    point(f64::from(k), 3e-4 / (1.0 + 0.5 * wider * z * z).powi(2))
-                })
-                .collect();
-            let peak = Peak::of(&points).unwrap();
-            assert!((peak.z_um - top).abs() < 0.08, "{top}: {peak:?}");
-        }
-    }
-
-    #[test]
     fn a_valley_a_slope_and_too_few_samples_have_no_peak() {
         let of = |values: &[f64]| {
             let points = (0..).zip(values).map(|(k, v)| point(f64::from(k), *v));
-            Peak::of(&points.collect::<Vec<_>>())
+            Peak::of(&points.collect::<Vec<_>>(), 0.1)
         };
         assert_eq!(of(&[3.0, 2.0, 1.0, 2.0, 3.0]), None);
         assert_eq!(of(&[1.0, 2.0]), None);

@@ -8,11 +8,13 @@
 //! side away from the specimen, so that backlash in the drive does not enter. Towards the specimen there is a bound
 //! that no sweep passes. A sweep without a peak is an answer of its own: the stage goes back to where it started.
 
+mod arrival;
 mod curve;
 mod levels;
 mod measure;
 mod noise;
 mod options;
+mod peak;
 mod sample;
 mod search;
 mod sharpness;
@@ -22,7 +24,6 @@ use crate::event::tell;
 use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::grab;
 use crate::{Event, FrameRole, ServoError, Sink};
-use curve::Peak;
 use sample::Sample;
 use scopeservo_scope::{Axis, AxisInfo, Instrument, Length, ScopeError};
 use state::{depth_of_field_um, height};
@@ -111,7 +112,7 @@ impl Focus {
                 scope.return_to_height(Length::from_um(start_um))?;
                 Err(self.no_focus())
             }
-            search::Decision::Peak(peak) => self.arrive(scope, peak).map(Progress::Done),
+            search::Decision::There(sigma_um) => Ok(Progress::Done(self.found(scope, sigma_um))),
         }
     }
 
@@ -122,9 +123,9 @@ impl Focus {
         Ok(farther && self.last_um.is_some_and(|last| (last - here).abs() < 1e-3))
     }
 
-    fn arrive(&mut self, scope: &Instrument, peak: Peak) -> Result<FocusResult, ServoError> {
-        self.take_up_play(scope, peak.z_um)?;
-        let z_um = Self::go(scope, peak.z_um)?;
+    /// The stage stands where the last look was.
+    fn found(&self, scope: &Instrument, sigma_um: f64) -> FocusResult {
+        let z_um = self.last_um.unwrap_or(f64::NAN);
         scope.focus_found(&self.objective.id, Length::from_um(z_um));
         let asymmetry_um = ASYMMETRY * depth_of_field_um(&self.objective);
         let curve = self.curve(0);
@@ -132,13 +133,13 @@ impl Focus {
             .0
             .iter()
             .min_by(|a, b| (a.z_um - z_um).abs().total_cmp(&(b.z_um - z_um).abs()));
-        Ok(FocusResult {
+        FocusResult {
             z_um: Some(z_um),
-            sigma_um: Some(peak.sigma_um.hypot(asymmetry_um)),
+            sigma_um: Some(sigma_um.hypot(asymmetry_um)),
             sharpness: self.root(nearest.map_or(0.0, |p| p.value)),
             contrast: self.root(curve.contrast()),
             samples: self.samples.len(),
-        })
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! Which height to look at next.
 
-use super::curve::{Curve, Peak, Point};
+use super::curve::{Curve, Point};
+use super::peak::Peak;
 use super::state::{Focus, Step, depth_of_field_um, height};
 use crate::ServoError;
 use scopeservo_scope::{Axis, Instrument, ScopeError, StagePose};
@@ -27,8 +28,12 @@ const MOST_HEIGHTS: f64 = 40.0;
 const SEEN: f64 = 0.3;
 /// A peak known worse than to this share of the depth of field is looked at once more between the samples.
 const KNOWN: f64 = 0.09;
-/// So far from the last pass some image must have been taken, in widths of the finest level.
+/// About so far from a peak some image must have been taken, in widths of the finest level, and within these shares of that.
 const FAR: f64 = 8.0;
+const FAR_BETWEEN: [f64; 2] = [0.6, 1.4];
+/// It is less sharp there by this factor at least, or what was found is no focus: the light's fall towards the border, or the steps of a
+/// camera without noise, make tops that are much wider.
+const FALLS: f64 = 1.25;
 /// After so many peaks that were none there is nothing.
 const REFUTED: usize = 5;
 /// A fit that explains less than this of what it was made of is none.
@@ -37,7 +42,8 @@ const GOOD: f64 = 0.6;
 pub(super) enum Decision {
     Look,
     Nothing,
-    Peak(Peak),
+    /// The focus, where the stage stands; with the standard deviation of that, um.
+    There(f64),
 }
 
 impl Focus {
@@ -107,7 +113,7 @@ impl Focus {
     }
 
     /// Plans the samples of a pass, in order from the side away from the specimen. Returns whether all of them are allowed.
-    fn plan(&mut self, scope: &Instrument, heights: &[f64]) -> Result<bool, ServoError> {
+    pub(super) fn plan(&mut self, scope: &Instrument, heights: &[f64]) -> Result<bool, ServoError> {
         let mut plan = self.allowed(scope, heights)?;
         let side = scope.gate().info().positive_z;
         plan.sort_by(|a, b| side.nearer_by(*a, 0.0).total_cmp(&side.nearer_by(*b, 0.0)));
@@ -125,6 +131,7 @@ impl Focus {
                 continued,
                 expected,
             } => self.ended(scope, continued, expected),
+            Step::Arrival { peak, level, count } => self.arrived(scope, peak, level, count),
         }
     }
 
@@ -187,7 +194,7 @@ impl Focus {
         best: usize,
         times: u8,
     ) -> Result<Decision, ServoError> {
-        let top = curve.rough_top(best);
+        let top = curve.rough_top(best, self.usual_um());
         let is_close = curve.gap(best) <= 1.6 * self.width_um(level);
         if level <= FINER && (is_close || times >= TIMES) {
             self.fine(scope, top, false)?;
@@ -226,7 +233,9 @@ impl Focus {
         let Some(best) = curve.bracketed(self.contrast()) else {
             // The finer level shows nothing: what the coarser one says is all there is.
             let coarser = self.curve(level + FINER);
-            let top = coarser.best().map(|best| coarser.rough_top(best));
+            let top = coarser
+                .best()
+                .map(|best| coarser.rough_top(best, self.usual_um()));
             self.fine(scope, top.unwrap_or(f64::NAN), false)?;
             return Ok(Decision::Look);
         };
@@ -256,8 +265,8 @@ impl Focus {
         self.fine_um.clear();
         self.plan(scope, &heights)?;
         // A look from where the specimen is blurred tells it from what is written onto the image.
-        let far = FAR * self.width_um(0);
-        if self.samples.iter().all(|s| (s.z_um - top).abs() < far) {
+        if self.far_from(top, 0).is_empty() {
+            let far = FAR * self.width_um(0);
             let away = scope.gate().info().positive_z.away(0.0, 1.0);
             for side in [away, -away] {
                 if let Some(&z) = self.allowed(scope, &[top + side * far])?.first() {
@@ -326,27 +335,45 @@ impl Focus {
                 return Ok(Decision::Look);
             }
         }
-        if curve.bracketed(self.contrast()).is_none() || below == 0 || above == 0 {
+        let falls = self.falls(level, &curve.0[best]);
+        if curve.bracketed(self.contrast()).is_none() || below == 0 || above == 0 || !falls {
             return self.refuted(scope);
         }
         let ends = [top - reach, top + reach];
-        let peak =
-            Peak::of(&near).filter(|p| p.goodness >= GOOD && (ends[0]..=ends[1]).contains(&p.z_um));
+        let peak = Peak::of(&near, self.usual_um())
+            .filter(|p| p.goodness >= GOOD && (ends[0]..=ends[1]).contains(&p.z_um));
         match peak {
             None => self.refuted(scope),
-            Some(peak) if self.is_known(&peak) || self.looked_again => Ok(Decision::Peak(peak)),
-            Some(peak) => {
+            Some(peak) if !self.is_known(&peak) && !self.looked_again => {
                 self.looked_again = true;
                 let half = FINE_SAMPLES / 2;
                 let between = (-half..half).map(|k| (f64::from(k) + 0.5) * step);
                 let heights: Vec<f64> = between.map(|off| peak.z_um + off).collect();
                 self.plan(scope, &heights)?;
                 match self.plan_um.is_empty() {
-                    true => Ok(Decision::Peak(peak)),
+                    true => self.arrive(scope, peak, level),
                     false => Ok(Decision::Look),
                 }
             }
+            Some(peak) => self.arrive(scope, peak, level),
         }
+    }
+
+    /// The samples of a level that are about as far from a height as a specimen is blurred for sure.
+    fn far_from(&self, z_um: f64, level: usize) -> Vec<Point> {
+        let far = FAR * self.width_um(0);
+        let [least, most] = FAR_BETWEEN.map(|share| share * far);
+        let mut near = self.curve(level).within(z_um, most);
+        near.retain(|p| (p.z_um - z_um).abs() >= least);
+        near
+    }
+
+    /// Whether the sharpest of a level is as narrow as a focus. Where the stage may not go to see it, it is believed.
+    fn falls(&self, level: usize, top: &Point) -> bool {
+        let order = self.options.measure.measure().order();
+        let far = self.far_from(top.z_um, level);
+        let least = far.iter().map(|p| p.value.max(p.sigma)).fold(f64::INFINITY, f64::min);
+        far.is_empty() || top.value > FALLS.powi(order) * least
     }
 
     fn is_known(&self, peak: &Peak) -> bool {
@@ -354,7 +381,7 @@ impl Focus {
     }
 
     /// The last pass showed no peak: what led there was none, and the search goes on elsewhere.
-    fn refuted(&mut self, scope: &Instrument) -> Result<Decision, ServoError> {
+    pub(super) fn refuted(&mut self, scope: &Instrument) -> Result<Decision, ServoError> {
         let of = |f: fn(f64, f64) -> f64, none: f64| self.fine_um.iter().copied().fold(none, f);
         let about = 2.0 * self.width_um(0);
         let range = [

@@ -3,6 +3,7 @@
 use super::curve::Curve;
 use super::measure::LEVELS;
 use super::options::FocusOptions;
+use super::peak::Peak;
 use super::sample::Sample;
 use crate::ServoError;
 use scopeservo_scope::{Length, Objective, StagePose};
@@ -20,6 +21,8 @@ pub(super) enum Step {
     Closer { level: usize, times: u8 },
     /// The last pass; `expected` where a focus was found before.
     Fine { continued: u8, expected: bool },
+    /// Arrivals at a peak that a level shows: `count` so far.
+    Arrival { peak: Peak, level: usize, count: u8 },
 }
 
 impl Step {
