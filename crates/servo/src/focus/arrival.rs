@@ -14,15 +14,13 @@ use scopeservo_scope::Instrument;
 const USUAL: f64 = 0.1;
 /// From here on the scatter counts, in depths of field: one look near the top cannot tell how sharp that is.
 const SCATTERS: f64 = 0.08;
-/// So many looks near the top there are then at least.
-const LOOKS: usize = 2;
+/// So often the stage arrives then, at least.
+const LOOKS: u8 = 2;
 /// An arrival is good enough within this share of the depth of field; each further one that is not makes that larger by this factor.
 const CLOSE: f64 = 0.09;
 const CLOSE_GROWS: f64 = 1.15;
 /// So often the stage arrives, at most.
 const ARRIVALS: u8 = 8;
-/// Samples so near to the peak are near the top, in its widths.
-const NEAR: f64 = 0.2;
 /// Where the scatter does not count, an arrival is refused that is off by so many standard deviations.
 const FOR_SURE: f64 = 4.0;
 /// A peak at which no look is as sharp as this share of the sharpest cannot be reached: it is somewhere else.
@@ -71,10 +69,9 @@ impl Focus {
         let top = near.iter().map(|p| p.value).fold(0.0, f64::max);
         let [off_um2, sigma_um2] = peak.off_um2(&seen, top);
         let scatters = peak.scatter_um > SCATTERS * depth_um;
-        let looks = curve.within(peak.z_um, NEAR * peak.width_um).len();
         let close_um = CLOSE * CLOSE_GROWS.powi(i32::from(count) - 1) * depth_um;
         let is_good = match scatters {
-            true => looks >= LOOKS && off_um2 <= close_um.powi(2),
+            true => count >= LOOKS && off_um2 <= close_um.powi(2),
             false => off_um2 <= close_um.powi(2) + FOR_SURE * sigma_um2,
         };
         if is_good || count >= ARRIVALS {

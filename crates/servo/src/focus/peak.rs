@@ -6,8 +6,6 @@ use serde::{Deserialize, Serialize};
 
 /// A cubic that has its lowest place this far from the parabola's, in half-widths of what was fitted, follows noise.
 const FAR_APART: f64 = 0.5;
-/// A cubic is asked for where its last coefficient is so many standard deviations from nothing.
-const ASKED_FOR: f64 = 2.0;
 /// So many arrivals' worth of what is usual counts beside those that were seen.
 const USUAL: f64 = 2.0;
 /// Rounds of weights that follow from the fit before.
@@ -29,7 +27,7 @@ pub(crate) struct Peak {
 
 impl Peak {
     /// The lowest place of a curve through one over the root of the values: about a focus the blur's variance grows with the square of
-    /// the height. With five points or more a cubic where they ask for one, as the blur on the one side is not that on the other. A sample
+    /// the height. With four points or more a cubic where they bear one, as the blur on the one side is not that on the other. A sample
     /// was taken where the stage arrived, not where it was sent: on the slope that counts more than noise, and so samples near the
     /// top have more weight. `usual_um`: how arrivals scatter when not enough was seen to tell. `None` where it does not bend so.
     pub(crate) fn of(points: &[Point], usual_um: f64) -> Option<Self> {
@@ -54,8 +52,12 @@ impl Peak {
             .collect();
         let usual = usual_um / reach;
         let (by_parabola, cubic) = (settled::<3>(&rows, usual)?, settled::<4>(&rows, usual));
-        let fit = match cubic.filter(|_| points.len() >= 5) {
-            Some(cubic) if (cubic.u - by_parabola.u).abs() < FAR_APART && cubic.is_asked_for => {
+        let fit = match cubic.filter(|_| points.len() >= 4) {
+            // What an asymmetric blur moves the parabola by is about what is usual for arrivals, too.
+            Some(cubic)
+                if (cubic.u - by_parabola.u).abs() < FAR_APART
+                    && cubic.sigma < by_parabola.sigma.hypot(usual) =>
+            {
                 cubic
             }
             _ => by_parabola,
@@ -107,7 +109,6 @@ struct Lowest {
     /// Value and second derivative there.
     value: f64,
     bend: f64,
-    is_asked_for: bool,
 }
 
 /// Coefficients and their covariance.
@@ -191,7 +192,6 @@ fn settled<const N: usize>(rows: &[Row], usual: f64) -> Option<Lowest> {
         scatter,
         value: least,
         bend,
-        is_asked_for: c[N - 1].abs() > ASKED_FOR * covariance[N - 1][N - 1].sqrt(),
     })
 }
 

@@ -260,8 +260,12 @@ impl Focus {
     /// The last pass, around a height.
     fn fine(&mut self, scope: &Instrument, top: f64, expected: bool) -> Result<(), ServoError> {
         let step = FINE * self.width_um(0);
-        let half = FINE_SAMPLES / 2;
-        let heights: Vec<f64> = (-half..=half).map(|k| top + f64::from(k) * step).collect();
+        // Where it is expected, the looks of the arrival come on top.
+        let samples = FINE_SAMPLES - i32::from(expected);
+        let middle = 0.5 * f64::from(samples - 1);
+        let heights: Vec<f64> = (0..samples)
+            .map(|k| top + (f64::from(k) - middle) * step)
+            .collect();
         self.fine_um.clear();
         self.plan(scope, &heights)?;
         // A look from where the specimen is blurred tells it from what is written onto the image.
@@ -306,7 +310,9 @@ impl Focus {
                 (a.min(*z), b.max(*z))
             });
         let step = FINE * self.width_um(0);
-        // Two samples on either side of the sharpest: a peak that is seen from one side only is known badly.
+        // Two samples on either side of the sharpest: a peak that is seen from one side only is known badly. Where it was expected, and
+        // lies between the samples, one is enough.
+        let wanted = if expected && continued == 0 { 1 } else { 2 };
         let reach = 2.0 * FINE * self.width_um(level) + 1e-3;
         let near: Vec<Point> = curve.within(top, reach);
         let [below, above] = [-1.0, 1.0].map(|side| {
@@ -314,7 +320,7 @@ impl Focus {
             near.iter().filter(beside).count()
         });
         let missing = |seen: usize, side: f64, end: f64| {
-            (1..=2usize.saturating_sub(seen))
+            (1..=usize::saturating_sub(wanted, seen))
                 .map(|k| end + side * k as f64 * step)
                 .collect::<Vec<f64>>()
         };
@@ -372,7 +378,10 @@ impl Focus {
     fn falls(&self, level: usize, top: &Point) -> bool {
         let order = self.options.measure.measure().order();
         let far = self.far_from(top.z_um, level);
-        let least = far.iter().map(|p| p.value.max(p.sigma)).fold(f64::INFINITY, f64::min);
+        let least = far
+            .iter()
+            .map(|p| p.value.max(p.sigma))
+            .fold(f64::INFINITY, f64::min);
         far.is_empty() || top.value > FALLS.powi(order) * least
     }
 
