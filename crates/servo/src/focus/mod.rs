@@ -34,7 +34,7 @@ pub use sharpness::sharpness;
 pub use state::Focus;
 
 /// Blur that is not the same above and below moves the fitted peak by so much of the depth of field.
-const ASYMMETRY: f64 = 0.1;
+const ASYMMETRY: f64 = 0.05;
 
 impl Focus {
     /// Goes to a height, and tells where the stage then says it is.

@@ -30,13 +30,34 @@ const VARIES: f64 = 0.03;
 const ARRIVALS: u32 = 40;
 const WAVELENGTH_UM: f64 = 0.55;
 
-/// Prints samples.
-struct Trace(bool);
+/// Hears the samples, and prints them where it is told to.
+#[derive(Default)]
+struct Trace {
+    prints: bool,
+    /// Time and height of each, s and um.
+    seen: Vec<[f64; 2]>,
+}
+
+impl Trace {
+    /// Frames and seconds of the coarse scan: the first looks, until one lies nearer than `near_um` to another.
+    fn coarse(&self, near_um: f64) -> (usize, f64) {
+        let near = |k: &usize| {
+            let z = self.seen[*k][1];
+            self.seen[..*k].iter().any(|s| (s[1] - z).abs() < near_um)
+        };
+        let count = (0..self.seen.len()).find(near).unwrap_or(self.seen.len());
+        let ends = self.seen.first().zip(self.seen[..count].last());
+        (count, ends.map_or(0.0, |(first, last)| last[0] - first[0]))
+    }
+}
 
 impl Sink for Trace {
     fn event(&mut self, stamped: Stamped) {
-        if let (true, Event::FocusSample { z_um, sharpness }) = (self.0, stamped.event) {
-            println!("z {z_um:.2} um: {sharpness:.6}");
+        if let Event::FocusSample { z_um, sharpness } = stamped.event {
+            self.seen.push([stamped.time_s, z_um]);
+            if self.prints {
+                println!("z {z_um:.2} um: {sharpness:.6}");
+            }
         }
     }
     fn frame(&mut self, _: &Frame, _: FrameRole) {}
@@ -81,6 +102,9 @@ pub(crate) struct Record {
     pub(crate) frames: u64,
     pub(crate) moves: u64,
     pub(crate) seconds: f64,
+    /// Of these the coarse scan's.
+    pub(crate) coarse_frames: usize,
+    pub(crate) coarse_seconds: f64,
     /// A second focus, from some depths of field off: its defocus at the end and its frames.
     pub(crate) again: Option<(f64, u64)>,
 }
@@ -267,18 +291,22 @@ impl Start {
         let focus = || {
             let before = self.scope.counters();
             let mut focus = Focus::new(objective.clone(), options.clone());
-            let mut sink = Trace(trace);
+            let mut sink = Trace {
+                prints: trace,
+                ..Trace::default()
+            };
             let answer = run(&mut focus, &self.scope, &mut sink);
             let after = self.scope.counters();
             (
                 answer,
                 after.frames - before.frames,
                 after.moves - before.moves,
+                sink.coarse(8.0 * depth_um),
             )
         };
         let start_um = self.twin.truth_now().defocus_um;
         let begun = self.scope.clock().now();
-        let (answer, frames, moves) = focus();
+        let (answer, frames, moves, (coarse_frames, coarse_seconds)) = focus();
         let seconds = self.scope.clock().now().since(begun).as_secs_f64();
         let end_um = self.twin.truth_now().defocus_um;
         let claimed_sigma_um = answer.as_ref().ok().and_then(|r| r.sigma_um);
@@ -295,7 +323,7 @@ impl Start {
         let again = match told.as_str() {
             "focused" => {
                 self.go_to_defocus(end_um + 3.0 * self.again_um * depth_um)?;
-                let (answer, frames, _) = focus();
+                let (answer, frames, ..) = focus();
                 answer
                     .is_ok()
                     .then(|| (self.twin.truth_now().defocus_um, frames))
@@ -317,6 +345,8 @@ impl Start {
             frames,
             moves,
             seconds,
+            coarse_frames,
+            coarse_seconds,
             again,
         })
     }
