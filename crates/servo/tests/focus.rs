@@ -132,6 +132,46 @@ fn of_ordinary_tissue_the_whole_picture_counts() {
     }
 }
 
+/// A camera without noise shows the steps of its digits far from focus, where nothing else is left: they make tops that are no focus.
+#[test]
+fn what_a_camera_without_noise_shows_far_away_is_no_focus() {
+    let tissue = Arc::new(scopeservo_twin::specimen::Tissue::new(7));
+    let mut config = Config::realistic();
+    config.camera.shot_noise = false;
+    config.camera.read_noise_e = 0.0;
+    config.stage = config.stage.exact();
+    let bench = bench_over(config, tissue, Vec::new());
+    let finest = bench.scope.gate().objectives()[2].clone();
+    bench.scope.select_objective(&finest.id).unwrap();
+    for start_um in [-190.0, -150.0, -110.0, 110.0, 150.0, 180.0] {
+        put_out_of_focus(&bench, start_um);
+        let mut focus = Focus::new(finest.clone(), FocusOptions::default());
+        let found = run(&mut focus, &bench.scope, &mut NoSink).unwrap();
+        let off = bench.twin.truth_now().defocus_um;
+        assert!(off.abs() < 0.33, "{start_um}: {off} um, {found:?}");
+    }
+}
+
+/// Arrivals scatter by more than a high aperture bears, and the stage says that it is where it was sent: the image tells.
+#[test]
+fn a_stage_that_does_not_arrive_where_it_says_is_sent_again() {
+    let tissue = Arc::new(scopeservo_twin::specimen::Tissue::new(7));
+    let bench = bench_over(Config::realistic(), tissue, Vec::new());
+    let finest = bench.scope.gate().objectives()[2].clone();
+    bench.scope.select_objective(&finest.id).unwrap();
+    let mut errors = Vec::new();
+    for k in 0..12 {
+        put_out_of_focus(&bench, 5.0 - f64::from(k));
+        let mut focus = Focus::new(finest.clone(), FocusOptions::default());
+        let found = run(&mut focus, &bench.scope, &mut NoSink).unwrap();
+        let off = bench.twin.truth_now().defocus_um;
+        errors.push(off / found.sigma_um.unwrap());
+        assert!(off.abs() < 0.4, "{k}: {off} um, {found:?}");
+    }
+    let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
+    assert!((0.4..1.4).contains(&rms), "{rms}: {errors:?}");
+}
+
 /// Where limits, or the range that is asked for, end before the focus.
 #[test]
 fn a_focus_beyond_where_the_stage_may_go_is_told_and_the_stage_is_back() {

@@ -377,7 +377,13 @@ impl Focus {
     /// Whether the sharpest of a level is as narrow as a focus. Where the stage may not go to see it, it is believed.
     fn falls(&self, level: usize, top: &Point) -> bool {
         let order = self.options.measure.measure().order();
-        let far = self.far_from(top.z_um, level);
+        let mut far = self.far_from(top.z_um, level);
+        if far.is_empty() {
+            // The top moved while it was looked at: what lies farther away tells as well.
+            let least = FAR_BETWEEN[0] * FAR * self.width_um(0);
+            far = self.curve(level).0;
+            far.retain(|p| (p.z_um - top.z_um).abs() >= least);
+        }
         let least = far
             .iter()
             .map(|p| p.value.max(p.sigma))
