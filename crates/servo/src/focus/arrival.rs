@@ -3,8 +3,8 @@
 //! Each arrival scatters, by more than a high aperture bears, and no stage says by how much: what it reports is where it was sent. So the
 //! frame at the final height is held against the sharpest one that was seen near it. Where it is less sharp, the stage arrives again.
 
-use super::curve::Point;
 use super::peak::Peak;
+use super::point::Point;
 use super::search::Decision;
 use super::state::{Focus, Step, depth_of_field_um};
 use crate::ServoError;

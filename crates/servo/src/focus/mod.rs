@@ -15,6 +15,7 @@ mod measure;
 mod noise;
 mod options;
 mod peak;
+mod point;
 mod sample;
 mod search;
 mod sharpness;

@@ -1,6 +1,6 @@
 //! The peak of sharpness against height.
 
-use super::curve::Point;
+use super::point::Point;
 use scopeservo_geometry::least_squares;
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,8 @@
 //! Which height to look at next.
 
-use super::curve::{Curve, Point};
+use super::curve::Curve;
 use super::peak::Peak;
+use super::point::Point;
 use super::state::{Focus, Step, depth_of_field_um, height};
 use crate::ServoError;
 use scopeservo_scope::{Axis, Instrument, ScopeError, StagePose};
