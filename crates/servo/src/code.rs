@@ -102,6 +102,7 @@ impl ServoError {
             | Self::AxesContradict { .. }
             | Self::AxesDiffer { .. }
             | Self::ViewAstray { .. }
+            | Self::ViewShakes { .. }
             | Self::ObjectivesDisagree { .. }
             | Self::CentreUnknown { .. } => ErrorCode::CalibrationFailed,
             Self::ObjectiveUnclear { .. }

@@ -166,6 +166,17 @@ pub enum ServoError {
         /// How far; `None` where it was not found again.
         off_um: Option<f64>,
     },
+    /// The view moves while the stage stands.
+    #[error(
+        "calibration of {objective} was refused: the view shakes by {um:.1} um while the stage stands. Look for what shakes the table or the \
+         microscope, for a loose slide or camera, and for a stage that does not come to rest"
+    )]
+    ViewShakes {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// Standard deviation, um.
+        um: f64,
+    },
     /// Two objectives of one microscope contradict each other.
     #[error(
         "calibration of {objective} was not kept: it contradicts that of {other}: {what}. {}",

@@ -84,7 +84,9 @@ impl Chain {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<Calibration>, ServoError> {
-        let ended = self.work(scope, sink);
+        let ended = self
+            .work(scope, sink)
+            .map_err(|e| self.or_it_shakes(scope, e));
         home_after_an_answer(ended, || self.go_home(scope))
     }
 

@@ -5,6 +5,7 @@ use super::Chain;
 use crate::calibrate::joint::{JointFit, Known, Role, Taken};
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
+use crate::trial::shaking_px;
 use crate::{Calibration, ServoError};
 use scopeservo_geometry::Vec2;
 use scopeservo_scope::{Axis, Instrument, Kinematics};
@@ -199,6 +200,24 @@ impl Chain {
             objective: self.objective.id.clone(),
             off_um,
         })
+    }
+
+    /// Why views contradict each other, where it is that they shake.
+    pub(super) fn or_it_shakes(&self, scope: &Instrument, error: ServoError) -> ServoError {
+        let contradicts = matches!(
+            error,
+            ServoError::ViewAstray { .. }
+                | ServoError::CalibrationContradicted { .. }
+                | ServoError::CalibrationInconsistent { .. }
+        );
+        match contradicts.then(|| shaking_px(scope, &self.vision)) {
+            Some(Ok(Some(px))) => ServoError::ViewShakes {
+                objective: self.objective.id.clone(),
+                um: px * self.objective.nominal_um_per_px,
+            },
+            // What the instrument cannot do now is told when it is to go home.
+            _ => error,
+        }
     }
 
     /// The views back and forth were found, the rotation centre is not beyond all instruments, and at the end the reference is where the
