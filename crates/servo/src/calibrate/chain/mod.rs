@@ -4,6 +4,7 @@ mod fixed;
 mod look;
 mod pair;
 mod sense;
+mod told;
 mod verdict;
 
 use super::joint::{JointFit, Known, Next, Pair, Priors, Role, Taken, View, fit, next_view};
@@ -85,6 +86,9 @@ impl Chain {
         sink: &mut dyn Sink,
     ) -> Result<Progress<Calibration>, ServoError> {
         let ended = self.work(scope, sink);
+        if ended.is_err() {
+            self.tell_all(scope, sink);
+        }
         home_after_an_answer(ended, || self.go_home(scope))
     }
 
@@ -105,6 +109,7 @@ impl Chain {
         if self.taken.last().is_none_or(|t| t.role != Role::Home) {
             self.go_home(scope)?;
         }
+        self.tell_all(scope, sink);
         let event = Event::Calibrated {
             calibration: Box::new(calibration.clone()),
             residual_px,
