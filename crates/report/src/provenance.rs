@@ -118,6 +118,11 @@ pub(crate) fn section(r: &Report<'_>) -> String {
              images and stage positions, as on a real microscope.</p>\n",
         );
     }
+    if r.truth.is_none() && c.simulated {
+        out.push_str(
+            "<p>The microscope was a simulated one: no instrument and no slide stand behind these numbers.</p>\n",
+        );
+    }
     out.push_str("<p>This page is complete in itself: it loads nothing and sends nothing.</p>\n");
     out
 }

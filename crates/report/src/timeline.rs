@@ -3,7 +3,8 @@
 use scopeservo_geometry::{Affine2, Vec2};
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{
-    Calibration, Event, FocusResult, FrameRole, Outcome, Phase, PoseError, Stamped, Velocity,
+    Calibration, ChainPlace, ChainView, Event, FocusResult, FrameRole, Outcome, Phase, PoseError,
+    Stamped, Velocity,
 };
 
 /// One frame of the servo in which the target was seen.
@@ -58,10 +59,30 @@ pub(crate) struct Sweep<'a> {
     pub(crate) result: Option<&'a FocusResult>,
 }
 
+/// One view of a chain of views.
+pub(crate) struct Look<'a> {
+    /// How many views before it.
+    pub(crate) index: usize,
+    /// Whether it was recognised in an earlier one.
+    pub(crate) found: bool,
+    pub(crate) chain: &'a ChainView,
+}
+
+/// Where a chain's views lie, and which were registered to which.
+#[derive(Clone, Copy)]
+pub(crate) struct Ended<'a> {
+    pub(crate) places: &'a [ChainPlace],
+    pub(crate) pairs: &'a [[usize; 2]],
+    pub(crate) left_out: &'a [usize],
+}
+
 /// One calibration.
 pub(crate) struct Calibrating<'a> {
     pub(crate) objective: &'a ObjectiveId,
     pub(crate) shifts_px: Vec<Option<[f64; 2]>>,
+    /// Of a joint calibration.
+    pub(crate) looks: Vec<Look<'a>>,
+    pub(crate) ended: Option<Ended<'a>>,
     /// With its residual in pixels and the views used.
     pub(crate) made: Option<(&'a Calibration, f64, usize)>,
 }
@@ -140,9 +161,33 @@ impl<'a> Timeline<'a> {
             | Event::SteppedAside { .. }
             | Event::Blurred { .. }
             | Event::ShadowsFound { .. } => {}
-            Event::CalibrationView { shift_px, .. } => {
+            Event::CalibrationView {
+                index,
+                shift_px,
+                chain,
+                ..
+            } => {
                 if let Some(c) = self.calibrations.last_mut() {
                     c.shifts_px.push(*shift_px);
+                    c.looks.extend(chain.as_deref().map(|chain| Look {
+                        index: *index,
+                        found: shift_px.is_some(),
+                        chain,
+                    }));
+                }
+            }
+            Event::ChainEnded {
+                places,
+                pairs,
+                left_out,
+                ..
+            } => {
+                if let Some(c) = self.calibrations.last_mut() {
+                    c.ended = Some(Ended {
+                        places,
+                        pairs,
+                        left_out,
+                    });
                 }
             }
             Event::Calibrated {
@@ -200,6 +245,8 @@ impl<'a> Timeline<'a> {
             _ => self.calibrations.push(Calibrating {
                 objective: &calibration.objective,
                 shifts_px: Vec::new(),
+                looks: Vec::new(),
+                ended: None,
                 made,
             }),
         }
@@ -230,6 +277,8 @@ impl<'a> Timeline<'a> {
             Phase::Calibrate => self.calibrations.push(Calibrating {
                 objective,
                 shifts_px: Vec::new(),
+                looks: Vec::new(),
+                ended: None,
                 made: None,
             }),
             Phase::Servo => {
