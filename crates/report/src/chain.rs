@@ -17,6 +17,16 @@ const TURN_FACTOR: f64 = 5.0;
 /// Half the length of the bar of a turned view, in the figure's units.
 const BAR: f64 = 11.0;
 
+/// Where the number of a view stands beside it, in the figure's units.
+const AROUND: [[f64; 2]; 6] = [
+    [6.0, -6.0],
+    [6.0, 15.0],
+    [-18.0, -6.0],
+    [-18.0, 15.0],
+    [6.0, -17.0],
+    [6.0, 26.0],
+];
+
 /// What a view was for.
 fn role_word(role: Role) -> &'static str {
     match role {
@@ -189,14 +199,13 @@ fn numbers(canvas: &mut Canvas, p: &Panel, c: &Calibrating<'_>, ended: &Ended<'_
         };
         let [x, y] = um_of(place.at_m);
         let [x, y] = p.at(x, y);
-        let mut at = [x + 6.0, y - 6.0];
-        // Several begin at one place: their numbers stand in a row.
-        while taken
-            .iter()
-            .any(|t| (t[0] - at[0]).abs() < 13.0 && (t[1] - at[1]).abs() < 11.0)
-        {
-            at[0] += 14.0;
-        }
+        // Several begin at one place: their numbers stand around it.
+        let free = |at: &[f64; 2]| {
+            let near = |t: &[f64; 2]| (t[0] - at[0]).abs() < 13.0 && (t[1] - at[1]).abs() < 10.0;
+            !taken.iter().any(near)
+        };
+        let around = AROUND.map(|[dx, dy]| [x + dx, y + dy]);
+        let at = around.into_iter().find(free).unwrap_or(around[0]);
         taken.push(at);
         canvas.text("order lift", at[0], at[1], &(look.index + 1).to_string());
     }

@@ -53,7 +53,8 @@ pub(crate) fn head(
     (class, icon): (&str, &str),
     [word, message]: [&str; 2],
 ) -> String {
-    let simulated = match context.simulated {
+    let told = context.instrument.contains("simulated");
+    let simulated = match context.simulated && !told {
         true => "simulated microscope",
         false => "",
     };

@@ -106,6 +106,8 @@ pub(crate) struct Timeline<'a> {
     pub(crate) calibrations: Vec<Calibrating<'a>>,
     pub(crate) magnifications: Vec<Magnification<'a>>,
     pub(crate) outcome: Option<&'a Outcome>,
+    /// The objective of the last frame.
+    active: Option<&'a ObjectiveId>,
     pub(crate) frames: usize,
     pub(crate) duration_s: f64,
 }
@@ -148,7 +150,10 @@ impl<'a> Timeline<'a> {
             Event::PhaseStarted { phase, objective } => {
                 self.phase(*phase, objective, stamped.time_s);
             }
-            Event::FrameGrabbed { role, .. } => {
+            Event::FrameGrabbed {
+                role, objective, ..
+            } => {
+                self.active = Some(objective);
                 self.frames += usize::from(*role != FrameRole::Target);
             }
             Event::FocusSample { z_um, sharpness } => {
@@ -167,7 +172,7 @@ impl<'a> Timeline<'a> {
                 chain,
                 ..
             } => {
-                if let Some(c) = self.calibrations.last_mut() {
+                if let Some(c) = self.calibrating() {
                     c.shifts_px.push(*shift_px);
                     c.looks.extend(chain.as_deref().map(|chain| Look {
                         index: *index,
@@ -291,6 +296,20 @@ impl<'a> Timeline<'a> {
                 });
             }
         }
+    }
+
+    /// The calibration under way; a timeline whose beginning is missing opens one.
+    fn calibrating(&mut self) -> Option<&mut Calibrating<'a>> {
+        if self.calibrations.last().is_none_or(|c| c.made.is_some()) {
+            self.calibrations.push(Calibrating {
+                objective: self.active?,
+                shifts_px: Vec::new(),
+                looks: Vec::new(),
+                ended: None,
+                made: None,
+            });
+        }
+        self.calibrations.last_mut()
     }
 
     /// The sweep under way; a timeline whose beginning is missing opens one.

@@ -28,7 +28,9 @@ pub fn work_html(recorder: &Recorder, end: &WorkEnd, context: &Context) -> Strin
     if end.work == Work::Calibration {
         parts.push(("What was measured", measured(&report, end)));
     }
-    parts.push(("Focus", focus::section(&report)));
+    if !report.timeline.sweeps.is_empty() {
+        parts.push(("Focus", focus::section(&report)));
+    }
     parts.push(("Where the time went", provenance::time(&report)));
     parts.push(("How this was made", provenance::section(&report)));
     let (look, word) = answer(end);
@@ -38,6 +40,7 @@ pub fn work_html(recorder: &Recorder, end: &WorkEnd, context: &Context) -> Strin
     };
     let message = message(&report, end);
     let mut header = head(context, title, look, [word, &message]);
+    header.push_str(&plain(&report));
     header.push_str(&numbers(&report, end));
     header.push_str("</header>\n");
     let parts = &parts[..];
@@ -63,9 +66,12 @@ fn message(r: &Report<'_>, end: &WorkEnd) -> String {
     }
     match end.work {
         Work::Calibration => {
-            let made = r.timeline.calibrations.iter().filter_map(|c| c.made);
-            let all: Vec<String> = made.map(|(c, ..)| in_words(c)).collect();
-            all.join(" ")
+            let all = r.timeline.calibrations.iter();
+            let made = all.filter(|c| c.made.is_some()).count();
+            match made {
+                1 => "One objective is calibrated.".into(),
+                _ => format!("{made} objectives are calibrated."),
+            }
         }
         Work::Focus => {
             let last = r.timeline.sweeps.iter().rev().find_map(|s| s.result);
@@ -74,6 +80,18 @@ fn message(r: &Report<'_>, end: &WorkEnd) -> String {
                 format!("The view is sharpest at z = {} µm.", fixed(z, 2))
             })
         }
+    }
+}
+
+/// Each calibration that was made, in plain words.
+fn plain(r: &Report<'_>) -> String {
+    let made = r.timeline.calibrations.iter().filter_map(|c| c.made);
+    let lines: String = made
+        .map(|(c, ..)| format!("<li>{}</li>\n", escape(&in_words(c))))
+        .collect();
+    match lines.is_empty() {
+        true => lines,
+        false => format!("<ul class=\"plain\">\n{lines}</ul>\n"),
     }
 }
 
@@ -110,15 +128,17 @@ fn broken_off<'a, 'b>(timeline: &'b Timeline<'a>) -> Option<&'b Calibrating<'a>>
 fn at_the_end(r: &Report<'_>) -> String {
     let mut out = String::new();
     if let Some(c) = broken_off(&r.timeline) {
-        let lost = c.looks.iter().filter(|l| !l.found).count();
         if !c.looks.is_empty() {
+            let later = c.looks.iter().filter(|l| l.index > 0);
+            let found = later.clone().filter(|l| l.found).count();
             let _ = writeln!(
                 out,
-                "<p class=\"lead\">{}: {} looked at, {} of them recognised in an earlier one. Lines join what looks alike, or what agrees where a \
-                 view was recognised.</p>",
+                "<p class=\"lead\">{}: {} taken; of the {} after the first {found} {} recognised in an earlier one. Lines join places that look alike, \
+                 or that agree where a view was recognised.</p>",
                 escape(&c.objective.0),
                 count(c.looks.len(), "view"),
-                c.looks.len() - lost
+                later.count(),
+                if found == 1 { "was" } else { "were" },
             );
         }
         out.push_str(&chain::pictures(r, c));
