@@ -166,41 +166,8 @@ impl<'a> Timeline<'a> {
             | Event::SteppedAside { .. }
             | Event::Blurred { .. }
             | Event::ShadowsFound { .. } => {}
-            Event::CalibrationView {
-                index,
-                shift_px,
-                chain,
-                ..
-            } => {
-                if let Some(c) = self.calibrating() {
-                    c.shifts_px.push(*shift_px);
-                    c.looks.extend(chain.as_deref().map(|chain| Look {
-                        index: *index,
-                        found: shift_px.is_some(),
-                        chain,
-                    }));
-                }
-            }
-            Event::ChainEnded {
-                places,
-                pairs,
-                left_out,
-                ..
-            } => {
-                if let Some(c) = self.calibrations.last_mut() {
-                    c.ended = Some(Ended {
-                        places,
-                        pairs,
-                        left_out,
-                    });
-                }
-            }
-            Event::Calibrated {
-                calibration,
-                residual_px,
-                views,
-            } => {
-                self.calibrated(calibration, *residual_px, *views);
+            Event::CalibrationView { .. } | Event::ChainEnded { .. } | Event::Calibrated { .. } => {
+                self.calibrates(&stamped.event)
             }
             Event::Iteration {
                 objective,
@@ -238,6 +205,49 @@ impl<'a> Timeline<'a> {
                 reason: reason.to_string(),
             }),
             Event::Finished { outcome } => self.outcome = Some(outcome),
+        }
+    }
+
+    /// What a calibration tells.
+    fn calibrates(&mut self, event: &'a Event) {
+        match event {
+            Event::CalibrationView {
+                index,
+                shift_px,
+                chain,
+                ..
+            } => {
+                if let Some(c) = self.calibrating() {
+                    c.shifts_px.push(*shift_px);
+                    c.looks.extend(chain.as_deref().map(|chain| Look {
+                        index: *index,
+                        found: shift_px.is_some(),
+                        chain,
+                    }));
+                }
+            }
+            Event::ChainEnded {
+                places,
+                pairs,
+                left_out,
+                ..
+            } => {
+                if let Some(c) = self.calibrations.last_mut() {
+                    c.ended = Some(Ended {
+                        places,
+                        pairs,
+                        left_out,
+                    });
+                }
+            }
+            Event::Calibrated {
+                calibration,
+                residual_px,
+                views,
+            } => {
+                self.calibrated(calibration, *residual_px, *views);
+            }
+            _ => {}
         }
     }
 
