@@ -108,7 +108,7 @@ fn demo(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
     }
     let target = ran.target.as_ref();
     let page = page(args, &bench, &recorder, &result, target, started);
-    keep_report(&out, &page, answer);
+    keep_report(&out, &page, None, answer);
     Ok(ran.outcome.verdict == Verdict::Arrived)
 }
 
@@ -255,7 +255,8 @@ fn page(
     let context = report::Context {
         title: format!("Reposition on {}", result.specimen),
         specimen: bench.specimen.describe(),
-        instrument: "simulated microscope (hexapod, 10x / 20x / 40x, 640x480 camera)".into(),
+        instrument: "hexapod, 10x / 20x / 40x, 640x480 camera".into(),
+        simulated: true,
         command: output::command_line(),
         seed: Some(args.seed),
         version: env!("CARGO_PKG_VERSION").into(),

@@ -128,6 +128,15 @@ impl OpenInstrument {
         })
     }
 
+    /// Whether stage or camera are simulated.
+    pub(crate) fn is_simulated(&self) -> bool {
+        let devices = &self.config.devices;
+        [&devices.stage, &devices.camera].into_iter().any(|name| {
+            let driver = self.config.drivers.get(name);
+            driver.is_some_and(|driver| driver.twin.is_some())
+        })
+    }
+
     /// Whether nothing that was killed waits to go on; else an error tells where things stand.
     pub(crate) fn check_nothing_waits(&self) -> Result<(), CliError> {
         match self.library.journal(&self.config.name)? {

@@ -46,7 +46,9 @@ mod vision;
 mod words;
 
 pub use bring::Bring;
-pub use calibrate::{Calibrate, CalibrateOptions, CalibrationMethod, agree, joint};
+pub use calibrate::{
+    Calibrate, CalibrateOptions, CalibrationMethod, ChainPair, ChainPlace, ChainView, agree, joint,
+};
 pub use calibration::{Backlash, CALIBRATION_SCHEMA, Calibration, EXAMPLE_MOVE, IntrinsicReading};
 pub use code::{ErrorCode, ErrorKind, Remedy};
 pub use error::ServoError;

@@ -8,6 +8,7 @@ use scopeservo_servo::CalibrationMethod;
 #[command(after_help = "Examples:
   scopeservo calibrate                       every objective, from the lowest magnification up
   scopeservo calibrate --objective 40x --json
+  scopeservo calibrate --out tuesday         the report goes to tuesday/report.html, also when it fails
   scopeservo calibrate --method two-step     as in the paper: fewer views, ten times less precise")]
 pub(crate) struct CalibrateArgs {
     #[command(flatten)]
@@ -23,6 +24,8 @@ pub(crate) struct CalibrateArgs {
     pub(crate) method: MethodArg,
     #[command(flatten)]
     pub(crate) focusing: FocusingArgs,
+    #[command(flatten)]
+    pub(crate) report: ReportArgs,
     #[command(flatten)]
     pub(crate) answer: AnswerArgs,
 }

@@ -147,6 +147,7 @@ fn keep(
     let context = report::Context {
         title: format!("Back to {name}"),
         instrument: opened.config.name.clone(),
+        simulated: opened.is_simulated(),
         command: output::command_line(),
         version: env!("CARGO_PKG_VERSION").into(),
         wall_time_s: Some(seconds),
@@ -157,7 +158,7 @@ fn keep(
         ..report::Context::default()
     };
     let page = report::html(&watcher.recorder, None, &context);
-    keep_report(out, &page, answer);
+    keep_report(out, &page, None, answer);
     let output = ran.end(Some(&page), answer)?;
     Ok(output.outcome.verdict == Verdict::Arrived)
 }

@@ -264,6 +264,7 @@ impl Teller {
                 stage: StagePose::default(),
                 shift_px: (index != 11).then_some(shift),
                 inliers: 240,
+                chain: None,
             };
             self.tell(0.5, event);
         }
@@ -490,6 +491,7 @@ pub(crate) fn context() -> Context {
         command: "scopeservo demo --seed 7 --report run.html".into(),
         seed: Some(7),
         version: "scopeservo 0.1.0".into(),
+        simulated: true,
         virtual_time: true,
         wall_time_s: Some(21.4),
         credit: None,

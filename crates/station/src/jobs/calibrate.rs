@@ -3,7 +3,8 @@
 use crate::{JobError, MadeCalibration, UseCase, Work};
 use scopeservo_scope::{Objective, ObjectiveId};
 use scopeservo_servo::{
-    Bring, Calibrate, CalibrateOptions, Calibration, FocusOptions, Progress, VisionOptions, agree,
+    Bring, Calibrate, CalibrateOptions, Calibration, Event, FocusOptions, Phase, Progress, Stamped,
+    VisionOptions, agree,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -116,6 +117,12 @@ impl UseCase for CalibrateJob {
                 {
                     let (options, vision) = (input.calibrate.clone(), input.vision.clone());
                     let calibrate = Calibrate::new(objective.clone(), options, vision);
+                    let event = Event::PhaseStarted {
+                        phase: Phase::Calibrate,
+                        objective: objective.id.clone(),
+                    };
+                    let time_s = work.scope().clock().now().seconds();
+                    work.sink().event(Stamped { time_s, event });
                     self.state = State::Calibrate(Box::new(calibrate));
                 }
             }

@@ -4,6 +4,7 @@ mod fixed;
 mod look;
 mod pair;
 mod sense;
+mod told;
 mod verdict;
 
 use super::joint::{JointFit, Known, Next, Pair, Priors, Role, Taken, View, fit, next_view};
@@ -87,6 +88,9 @@ impl Chain {
         let ended = self
             .work(scope, sink)
             .map_err(|e| self.or_it_shakes(scope, e));
+        if ended.is_err() {
+            self.tell_all(scope, sink);
+        }
         home_after_an_answer(ended, || self.go_home(scope))
     }
 
@@ -107,6 +111,7 @@ impl Chain {
         if self.taken.last().is_none_or(|t| t.role != Role::Home) {
             self.go_home(scope)?;
         }
+        self.tell_all(scope, sink);
         let event = Event::Calibrated {
             calibration: Box::new(calibration.clone()),
             residual_px,

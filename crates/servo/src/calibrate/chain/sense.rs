@@ -304,7 +304,7 @@ fn wrong_turn(turns: &[[f64; 3]], handed: f64) -> Option<Turn> {
 }
 
 /// Where the stage stands at a view, its play counted.
-fn standing(taken: &Taken, backlash: [f64; 3]) -> PlanarPose {
+pub(super) fn standing(taken: &Taken, backlash: [f64; 3]) -> PlanarPose {
     let behind = |k: usize| 0.5 * f64::from(taken.view.approach[k]) * backlash[k];
     let reported = taken.view.reported;
     PlanarPose {
