@@ -2,6 +2,7 @@
 
 use crate::answer::Answer;
 use crate::args::InstrumentArgs;
+use crate::asking;
 use crate::beginning;
 use crate::console::{Console, Late, Told};
 use crate::error::{CliError, Code};
@@ -10,14 +11,11 @@ use crate::progress::Watcher;
 use scopeservo_library::{
     Cameras as _, Folder, Journal as _, Journalled, RunHead, RunLog, Runs as _,
 };
-use scopeservo_scope::{CancelToken, GateEvent, Instrument, Objective};
+use scopeservo_scope::{CancelToken, GateEvent, Instrument};
 use scopeservo_servo::ErrorKind;
 use scopeservo_setup::{Config, Consent, Held, Opened, connect, home_if_needed};
 use scopeservo_station::{News, StationEvent, UseCase};
-use std::io::{BufRead, IsTerminal};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// What a command works at.
 pub(crate) struct OpenInstrument {
@@ -95,7 +93,8 @@ impl OpenInstrument {
         let stop = stop_on_interrupt(&cancel, answer);
         let consent = Consent {
             home: args.home,
-            ask: Arc::new(ask),
+            ask: Arc::new(asking::to_turn),
+            ask_immersion: asking::about_immersion(args.immersion),
         };
         let Opened {
             instrument,
@@ -223,54 +222,4 @@ impl<T> Ran<T> {
         answer.or_warn(self.journal.close());
         self.output
     }
-}
-
-/// Lines typed at the terminal. One reader for all questions: one that was given up would otherwise eat the answer to the next.
-fn typed() -> &'static Mutex<Receiver<String>> {
-    static TYPED: OnceLock<Mutex<Receiver<String>>> = OnceLock::new();
-    TYPED.get_or_init(|| {
-        let (tell, lines) = mpsc::channel();
-        std::thread::spawn(move || {
-            for line in std::io::stdin().lock().lines() {
-                let Ok(line) = line else { return };
-                if tell.send(line).is_err() {
-                    return;
-                }
-            }
-        });
-        Mutex::new(lines)
-    })
-}
-
-/// How often one who waits for an answer looks whether it is still wanted.
-const LOOK: Duration = Duration::from_millis(50);
-
-/// Asks whoever sits at the terminal to turn the nosepiece.
-fn ask(objective: &Objective, wanted: &dyn Fn() -> bool) -> bool {
-    let id = &objective.id;
-    if !std::io::stdin().is_terminal() {
-        tell!(
-            "scopeservo: the objective {id} is needed, and nobody is there to turn the nosepiece: run this in a terminal"
-        );
-        return false;
-    }
-    let lines = typed().lock().unwrap_or_else(PoisonError::into_inner);
-    // What was typed before the question is no answer to it.
-    while lines.try_recv().is_ok() {}
-    tell!("Turn the nosepiece to {id}, then press Enter. Type n to end.");
-    while wanted() {
-        match lines.recv_timeout(LOOK) {
-            Ok(line) => {
-                let word = line.trim().to_ascii_lowercase();
-                match word.as_str() {
-                    "" | "y" | "yes" => return true,
-                    "n" | "no" | "q" => return false,
-                    _ => tell!("Press Enter when {id} is in, or type n to end."),
-                }
-            }
-            Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => return false,
-        }
-    }
-    false
 }

@@ -1,6 +1,6 @@
 //! The nosepiece: which objectives there are and which one looks at the specimen.
 
-use crate::{Motion, ObjectiveId, ScopeError};
+use crate::{Immersion, Motion, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 
 /// What is engraved on an objective, and what the maker's data sheet says of the image it gives here.
@@ -14,6 +14,9 @@ pub struct Objective {
     pub numerical_aperture: f64,
     /// Nominal size of one camera pixel on the specimen, um. Plans the first calibration moves; measured afterwards.
     pub nominal_um_per_px: f64,
+    /// What it works in.
+    #[serde(default, skip_serializing_if = "Immersion::is_air")]
+    pub immersion: Immersion,
 }
 
 impl Objective {

@@ -10,7 +10,7 @@ use crate::{
     Localizer, Phase, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink, Target,
     VisionOptions,
 };
-use scopeservo_scope::{Instrument, ObjectiveId};
+use scopeservo_scope::{Immersion, Instrument, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -62,6 +62,9 @@ pub struct Reposition {
     /// Objectives whose calibration was known before the run.
     #[serde(default)]
     known: BTreeSet<ObjectiveId>,
+    /// What was on the specimen at the beginning, where that was known.
+    #[serde(default)]
+    immersion: Option<Immersion>,
     done: Vec<MagnificationResult>,
 }
 
@@ -75,6 +78,7 @@ impl Reposition {
             state: State::Begin,
             calibrations: BTreeMap::new(),
             known: BTreeSet::new(),
+            immersion: None,
             done: Vec::new(),
         }
     }
@@ -144,6 +148,7 @@ impl Reposition {
             objectives: scope.gate().objectives(),
             target: &target.objective,
             target_is_calibrated: self.calibrations.contains_key(&target.objective),
+            immersion: self.immersion,
             done: &self.done,
         }
     }
@@ -171,6 +176,8 @@ impl Reposition {
         target: &Target,
     ) -> Result<Option<Outcome>, ServoError> {
         scope.objective(&target.objective)?;
+        let media = scope.gate().immersions()?;
+        self.immersion = media.first().copied().filter(|_| media.len() == 1);
         let so_far = self.so_far(scope, target);
         let first = Ladder.next(&so_far);
         let engine = self.options.vision.engine.info();
@@ -318,21 +325,29 @@ impl Reposition {
         end: &ServoEnd,
         seen: bool,
     ) -> Option<Outcome> {
-        let next = Ladder.next(&self.so_far(scope, target));
-        let goes_on = match end {
-            ServoEnd::Converged(_) => true,
-            ServoEnd::Lost(_) => seen,
-            _ => false,
+        let so_far = self.so_far(scope, target);
+        let next = match end {
+            ServoEnd::Converged(_) => Ladder.next(&so_far),
+            ServoEnd::Lost(_) if seen => Ladder.next(&so_far),
+            ServoEnd::Lost(_) => Ladder.wider(&so_far),
+            _ => None,
         };
-        if let Some(next) = next.filter(|_| goes_on) {
-            self.bring(next);
-            return None;
+        match next {
+            Some(next) => {
+                self.bring(next);
+                None
+            }
+            None => Some(self.end(end)),
         }
+    }
+
+    /// The answer that the end of the last loop means.
+    fn end(&self, end: &ServoEnd) -> Outcome {
         let at = self.done.last().map_or(0.0, |d| d.magnification);
-        let seen_below = self.done.len() > 1;
+        let seen_below = self.done.iter().any(|d| d.magnification < at);
         let (verdict, reason, message) =
             words::answer_of(end, at, seen_below, self.options.servo.angle_deg);
-        Some(self.outcome(verdict, reason, message))
+        self.outcome(verdict, reason, message)
     }
 
     fn outcome(&self, verdict: Verdict, reason: Reason, message: String) -> Outcome {
@@ -343,21 +358,36 @@ impl Reposition {
             message,
             estimated_error_um: last.map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
             estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
-            unique_within_um: self.done.first().map(|widest| {
-                let size = widest.calibration.image_size_px;
-                size.map(|px| px as f64 * widest.calibration.um_per_px())
-            }),
+            unique_within_um: self.done.iter().map(view_um).max_by(wider),
             magnifications: self.done.clone(),
         }
     }
 
     /// Turns what the method or the limits refuse into an answer; faults and interruptions stay errors.
     fn answer(&self, error: ServoError) -> Result<Outcome, ServoError> {
+        // A wider view would have taken another medium: what was looked for was not found.
+        if let ServoError::Scope(ScopeError::ImmersionNotAgreed { .. }) = &error
+            && let Some(end @ ServoEnd::Lost(_)) = self.done.last().map(|d| &d.end)
+        {
+            let outcome = self.end(end);
+            let message = format!("{}. For a wider view {error}", outcome.message);
+            return Ok(Outcome { message, ..outcome });
+        }
         match Reason::of(&error) {
             Some(reason) => Ok(self.outcome(Verdict::Refused, reason, error.to_string())),
             None => Err(error),
         }
     }
+}
+
+/// Width and height of a view, um on the specimen.
+fn view_um(at: &MagnificationResult) -> [f64; 2] {
+    let size = at.calibration.image_size_px;
+    size.map(|px| px as f64 * at.calibration.um_per_px())
+}
+
+fn wider(a: &[f64; 2], b: &[f64; 2]) -> std::cmp::Ordering {
+    a[0].total_cmp(&b[0])
 }
 
 impl Procedure for Reposition {

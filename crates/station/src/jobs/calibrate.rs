@@ -1,7 +1,7 @@
-//! Objectives calibrated one after the other, from the lowest magnification up.
+//! Objectives calibrated one after the other, from the lowest magnification up, those that work in one medium together.
 
 use crate::{JobError, MadeCalibration, UseCase, Work};
-use scopeservo_scope::{Objective, ObjectiveId};
+use scopeservo_scope::{Objective, ObjectiveId, by_immersion};
 use scopeservo_servo::{
     Bring, Calibrate, CalibrateOptions, Calibration, FocusOptions, Progress, VisionOptions, agree,
 };
@@ -79,7 +79,7 @@ impl CalibrateJob {
                 .map(|id| scope.objective(id).cloned())
                 .collect::<Result<_, _>>()?,
         };
-        wanted.sort_by(|a, b| a.magnification.total_cmp(&b.magnification));
+        by_immersion(&mut wanted, work.immersion()?, |objective| objective);
         self.left = wanted.into();
         Ok(())
     }
