@@ -105,6 +105,7 @@ impl ServoError {
             | Self::AxesDiffer { .. }
             | Self::ViewAstray { .. }
             | Self::ObjectivesDisagree { .. }
+            | Self::SwitchingUnclear { .. }
             | Self::CentreUnknown { .. } => ErrorCode::CalibrationFailed,
             Self::ObjectiveUnclear { .. }
             | Self::PictureStays { .. }
