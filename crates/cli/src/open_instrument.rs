@@ -9,10 +9,10 @@ use crate::error::{CliError, Code};
 use crate::journal::{self, Asked, FileJournal, Made};
 use crate::progress::Watcher;
 use scopeservo_library::{
-    Cameras as _, Folder, Journal as _, Journalled, RunHead, RunLog, Runs as _,
+    Cameras as _, Folder, Journal as _, Journalled, Nosepieces as _, RunHead, RunLog, Runs as _,
 };
-use scopeservo_scope::{CancelToken, GateEvent, Instrument};
-use scopeservo_servo::ErrorKind;
+use scopeservo_scope::{CancelToken, GateEvent, Instrument, Length, ObjectiveId};
+use scopeservo_servo::{ErrorKind, SwitchingReport};
 use scopeservo_setup::{Config, Consent, Held, Opened, connect, home_if_needed};
 use scopeservo_station::{News, StationEvent, UseCase};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -24,6 +24,8 @@ pub(crate) struct OpenInstrument {
     pub(crate) scope: Arc<Instrument>,
     pub(crate) drivers: Vec<(String, String)>,
     pub(crate) console: Console,
+    /// What is known of where its objectives look and focus beside each other.
+    pub(crate) switchings: Vec<SwitchingReport>,
     journal: Arc<FileJournal>,
     /// Let go last.
     _held: Held,
@@ -107,6 +109,7 @@ impl OpenInstrument {
         let info = scope.camera().info();
         let seen = library.shadows(&config.name, [info.width, info.height]);
         scope.set_flat_field(answer.or_warn(seen).flatten().map(Arc::new));
+        let switchings = known_switchings(&config, &library, &scope, answer);
         let journal = Arc::new(FileJournal::new(&library, &config.name, &scope));
         let goes = journal.clone();
         let console = Console::new(&scope, journal.clone(), Late::LeftOut, move |record| {
@@ -122,6 +125,7 @@ impl OpenInstrument {
             scope,
             drivers,
             console,
+            switchings,
             journal,
             _held: held,
         })
@@ -194,6 +198,29 @@ impl OpenInstrument {
             journal: self.journal.clone(),
         })
     }
+}
+
+/// What was kept of the nosepiece, of objectives that it carries; the instrument learns how high they focus beside each other.
+fn known_switchings(
+    config: &Config,
+    library: &Folder,
+    scope: &Instrument,
+    answer: &Answer,
+) -> Vec<SwitchingReport> {
+    let kept = answer.or_warn(library.switchings(&config.name));
+    let kept = kept.into_iter().flatten();
+    let all = kept.filter_map(|kept| Some(answer.or_warn(kept)?.switching));
+    let there = |id: &ObjectiveId| scope.objective(id).is_ok();
+    let all: Vec<_> = all.filter(|s| there(&s.from) && there(&s.to)).collect();
+    for SwitchingReport {
+        from, to, focus, ..
+    } in &all
+    {
+        if let Some(focus) = focus {
+            scope.parfocal_known([from, to], Length::from_um(focus.offset_um.value));
+        }
+    }
+    all
 }
 
 /// What a job came to.

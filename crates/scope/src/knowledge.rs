@@ -11,7 +11,17 @@ pub(crate) struct Knowledge {
     known_by: KnownBy,
     objective: Mutex<Objective>,
     focus: Mutex<BTreeMap<ObjectiveId, Length>>,
+    parfocal: Mutex<Parfocal>,
     medium: Mutex<Medium>,
+}
+
+/// How high objectives focus beside each other, from an earlier session, whose specimen lay at another height.
+#[derive(Debug, Default)]
+pub(crate) struct Parfocal {
+    /// The height of the second less that of the first.
+    pub(crate) offsets: BTreeMap<[ObjectiveId; 2], Length>,
+    /// The objective that was focused last: offsets count from there.
+    pub(crate) last: Option<ObjectiveId>,
 }
 
 /// What is on the specimen, beside what the active objective works in.
@@ -39,6 +49,7 @@ impl Knowledge {
             known_by,
             objective: Mutex::default(),
             focus: Mutex::default(),
+            parfocal: Mutex::default(),
             medium: Mutex::default(),
         }
     }
@@ -116,6 +127,10 @@ impl Knowledge {
     /// What the specimen was made ready for without that objective having come.
     pub(crate) fn made_ready(&self) -> BTreeSet<Immersion> {
         self.medium().made_ready.clone()
+    }
+
+    pub(crate) fn parfocal(&self) -> MutexGuard<'_, Parfocal> {
+        self.parfocal.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Where each objective was last in focus.

@@ -9,8 +9,8 @@ use recorder::{
     Ticking, id, pose, rules, z,
 };
 use scopeservo_scope::{
-    Axis, CancelToken, ChangeRule, ErrorKind, GateEvent, Length, MotionGate, Nosepiece, ScopeError,
-    Stage, StagePose, VirtualClock,
+    Axis, CancelToken, ChangeRule, ErrorKind, GateEvent, Length, MotionGate, Nosepiece,
+    ObjectiveId, ScopeError, Stage, StagePose, VirtualClock,
 };
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
@@ -375,4 +375,31 @@ fn after_a_change_it_comes_back_in_allowed_steps_and_short_of_an_unknown_focus()
         "{:?}",
         devices.world().broken
     );
+}
+
+#[test]
+fn what_an_earlier_session_knew_of_heights_counts_from_the_objective_that_was_focused_last() {
+    let devices = Devices::new();
+    let clock = Arc::new(VirtualClock::new());
+    let scope = devices.instrument(rules(), clock, CancelToken::new());
+    let (ten, forty, sixty) = (id("10x"), id("40x"), id("60x"));
+    scope.parfocal_known([&ten, &forty], Length::from_um(30.0));
+    scope.parfocal_known([&ten, &sixty], Length::from_um(-50.0));
+    let predicted = |id: &ObjectiveId| scope.predicted_focus(id).map(|z| z.um().round());
+    // Nothing was focused: a difference says no height.
+    assert_eq!(predicted(&forty), None);
+    scope.focus_found(&ten, Length::from_um(400.0));
+    assert_eq!(
+        (predicted(&forty), predicted(&sixty)),
+        (Some(430.0), Some(350.0))
+    );
+    // Another specimen: what is focused last counts, whatever was known before.
+    scope.focus_found(&forty, Length::from_um(1000.0));
+    assert_eq!(
+        (predicted(&ten), predicted(&sixty)),
+        (Some(970.0), Some(920.0))
+    );
+    assert_eq!(predicted(&id("100x")), None);
+    scope.forget_focus(&forty);
+    assert_eq!(predicted(&ten), None);
 }

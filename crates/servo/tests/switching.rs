@@ -2,14 +2,15 @@
 
 mod common;
 
-use common::{bench_seeded, options};
-use scopeservo_scope::{Axis, Instrument};
+use common::{Bench, bench_seeded, options};
+use scopeservo_scope::{Axis, GateEvent, Instrument, Length, ObjectiveId, StagePose};
 use scopeservo_servo::{
-    Bring, Calibrate, Calibration, FocusOptions, NoSink, ServoError, Switching, SwitchingOptions,
-    SwitchingReport, VisionOptions, run,
+    Bring, Calibrate, Calibration, FocusOptions, NoSink, Outcome, Reposition, ServoError,
+    Switching, SwitchingOptions, SwitchingReport, Target, Verdict, VisionOptions, run,
 };
 use scopeservo_twin::specimen::Blank;
 use scopeservo_twin::{Config, Twin};
+use std::sync::{Arc, Mutex};
 
 fn two_objectives() -> Config {
     let mut config = Config::realistic();
@@ -41,9 +42,9 @@ fn switched(scope: &Instrument, times: usize) -> Result<SwitchingReport, ServoEr
 }
 
 /// Where the second objective truly looks beside the first, um.
-fn true_offset_um(twin: &Twin) -> [f64; 2] {
-    let eta = ["20x", "40x"].map(|id| {
-        let id = scopeservo_scope::ObjectiveId(id.into());
+fn true_offset_um(twin: &Twin, objectives: [&str; 2]) -> [f64; 2] {
+    let eta = objectives.map(|id| {
+        let id = ObjectiveId(id.into());
         twin.true_calibration(&id).unwrap().eta_mm
     });
     [0, 1].map(|k| 1e3 * (eta[1][k] - eta[0][k]))
@@ -63,7 +64,7 @@ fn offset_and_repeatability_are_those_of_the_nosepiece_and_the_stage_comes_home(
         let home = bench.scope.gate().position().unwrap();
         let told = switched(&bench.scope, 8).unwrap();
         println!("{half_width_um}: {told:?}");
-        let truth = true_offset_um(&bench.twin);
+        let truth = true_offset_um(&bench.twin, ["20x", "40x"]);
         // A uniform scatter of this half-width.
         let scatter = half_width_um / 3f64.sqrt();
         for k in [0, 1] {
@@ -125,7 +126,7 @@ fn over_blank_glass_nothing_is_claimed() {
     let bench = bench_seeded(two_objectives(), 4);
     let calibrations = calibrated(&bench.scope);
     let home = bench.scope.gate().position().unwrap();
-    bench.twin.replace_specimen(std::sync::Arc::new(Blank));
+    bench.twin.replace_specimen(Arc::new(Blank));
     bench.scope.command_begins();
     let options = SwitchingOptions {
         focus: None,
@@ -139,4 +140,127 @@ fn over_blank_glass_nothing_is_claimed() {
     );
     let now = bench.scope.gate().position().unwrap();
     assert!((now.x.unwrap().um() - home.x.unwrap().um()).abs() < 5.0);
+}
+
+/// A run to a view of the strongest objective that was saved before, by known calibrations.
+fn back(bench: &Bench, known: &[Calibration; 2], switchings: Vec<SwitchingReport>) -> Outcome {
+    let vision = VisionOptions::default();
+    let id = bench.scope.gate().objectives()[1].id.clone();
+    let mut bring = Bring::new(id, Some(FocusOptions::default()), vision.clone());
+    run(&mut bring, &bench.scope, &mut NoSink).unwrap();
+    let target = Target::save(&bench.scope, &vision, &mut NoSink).unwrap();
+    let known = known.iter().map(|c| (c.objective.clone(), c.clone()));
+    let mut back = Reposition::new(target, options())
+        .with_calibrations(known)
+        .with_switchings(switchings);
+    run(&mut back, &bench.scope, &mut NoSink).unwrap()
+}
+
+#[test]
+fn a_target_that_a_switch_takes_out_of_the_field_is_found_where_the_switch_is_known() {
+    let mut config = Config::realistic();
+    config.optics.remove(1);
+    config.nosepiece.parcentric_um = 230.0;
+    // Farther apart than the stronger one's field is wide, 326 um.
+    let bench = (0..200)
+        .map(|seed| bench_seeded(config.clone(), seed))
+        .find(|bench| {
+            let [x, y] = true_offset_um(&bench.twin, ["10x", "40x"]);
+            (350.0..400.0).contains(&x.abs()) && y.abs() < 60.0
+        })
+        .unwrap();
+    let calibrations = calibrated(&bench.scope);
+    let three = SwitchingOptions {
+        times: 3,
+        ..SwitchingOptions::default()
+    };
+    let mut switching = Switching::new(calibrations.clone(), three);
+    let told = run(&mut switching, &bench.scope, &mut NoSink).unwrap();
+    // Calibrations that do not know their rotation centres well enough to tell.
+    let alone = calibrations.clone().map(|c| Calibration {
+        covariance: None,
+        ..c
+    });
+    let unknown = back(&bench, &alone, Vec::new());
+    assert_eq!(unknown.verdict, Verdict::NotFound, "{}", unknown.message);
+    // By switching, and by the rotation centres.
+    for (calibrations, switchings) in [(&alone, vec![told]), (&calibrations, Vec::new())] {
+        let known = back(&bench, calibrations, switchings);
+        assert_eq!(known.verdict, Verdict::Arrived, "{}", known.message);
+    }
+}
+
+#[test]
+fn in_a_new_session_a_height_that_is_predicted_takes_fewer_frames() {
+    let mut all = Vec::new();
+    for seed in [12, 13, 14] {
+        let mut config = two_objectives();
+        config.nosepiece.parfocal_um = 60.0;
+        let told = switched(&bench_seeded(config.clone(), seed).scope, 3).unwrap();
+        let frames = |predicts: bool| {
+            // The same microscope, opened again.
+            let bench = bench_seeded(config.clone(), seed);
+            if predicts {
+                let offset_um = told.focus.as_ref().unwrap().offset_um.value;
+                let pair = [&told.from, &told.to];
+                let offset = Length::from_um(offset_um);
+                bench.scope.parfocal_known(pair, offset);
+            }
+            let [_, second] = [&told.from, &told.to].map(|id| {
+                let focus = Some(FocusOptions::default());
+                let mut bring = Bring::new(id.clone(), focus, VisionOptions::default());
+                run(&mut bring, &bench.scope, &mut NoSink).unwrap().unwrap()
+            });
+            let defocus_um = bench.twin.truth_now().defocus_um;
+            assert!(defocus_um.abs() < 1.0, "{defocus_um}");
+            second.samples
+        };
+        all.push((frames(true), frames(false)));
+    }
+    println!("frames with a prediction, and without: {all:?}");
+    assert!(
+        all.iter()
+            .all(|(with, without)| with < without && *with <= 10)
+    );
+}
+
+#[test]
+fn a_wrong_prediction_costs_frames_and_no_sweep_passes_its_bounds_for_it() {
+    for wrong_um in [150.0, -150.0, 190.0, 1000.0, -1000.0] {
+        let mut config = two_objectives();
+        config.nosepiece.parfocal_um = 20.0;
+        let bench = bench_seeded(config, 12);
+        let [first, second] = [0, 1].map(|k| bench.scope.gate().objectives()[k].id.clone());
+        let pair = [&first, &second];
+        bench.scope.parfocal_known(pair, Length::from_um(wrong_um));
+        let options = || FocusOptions::default();
+        let bring =
+            |id: &ObjectiveId| Bring::new(id.clone(), Some(options()), VisionOptions::default());
+        run(&mut bring(&first), &bench.scope, &mut NoSink).unwrap();
+        let began_um = bench.scope.gate().position().unwrap().z.unwrap().um();
+        let nearest_um = Arc::new(Mutex::new(f64::NEG_INFINITY));
+        let ear = nearest_um.clone();
+        bench.scope.gate().observe(Some(Arc::new(move |event| {
+            if let GateEvent::MoveBegan {
+                to: StagePose { z: Some(z), .. },
+            } = event
+            {
+                let mut nearest = ear.lock().unwrap();
+                *nearest = nearest.max(z.um());
+            }
+        })));
+        let focused = run(&mut bring(&second), &bench.scope, &mut NoSink).unwrap();
+        assert!(focused.is_some());
+        let defocus_um = bench.twin.truth_now().defocus_um;
+        assert!(defocus_um.abs() < 1.0, "{wrong_um}: {defocus_um}");
+        // Larger z is nearer.
+        let nearer_um = *nearest_um.lock().unwrap() - began_um;
+        assert!(
+            nearer_um <= options().nearest_um + 1.0,
+            "{wrong_um}: {nearer_um}"
+        );
+        if wrong_um.abs() > options().half_range_um || wrong_um < 0.0 {
+            assert!(nearer_um < 100.0, "{wrong_um}: {nearer_um}");
+        }
+    }
 }

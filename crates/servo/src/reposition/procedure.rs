@@ -1,14 +1,14 @@
 //! The run as a step machine.
 
-use super::words;
 use super::{Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, SoFar, Verdict};
+use super::{parcentric, words};
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
     Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions,
-    Localizer, Phase, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink, Target,
-    VisionOptions,
+    Localizer, Phase, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink, SwitchingReport,
+    Target, VisionOptions,
 };
 use scopeservo_scope::{Immersion, Instrument, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
@@ -62,6 +62,9 @@ pub struct Reposition {
     /// Objectives whose calibration was known before the run.
     #[serde(default)]
     known: BTreeSet<ObjectiveId>,
+    /// What is known of the nosepiece.
+    #[serde(default)]
+    switchings: Vec<SwitchingReport>,
     /// What was on the specimen at the beginning, where that was known.
     #[serde(default)]
     immersion: Option<Immersion>,
@@ -78,6 +81,7 @@ impl Reposition {
             state: State::Begin,
             calibrations: BTreeMap::new(),
             known: BTreeSet::new(),
+            switchings: Vec::new(),
             immersion: None,
             done: Vec::new(),
         }
@@ -134,6 +138,12 @@ impl Reposition {
             self.calibrations.insert(objective, calibration);
         }
         self
+    }
+
+    /// Takes what is known of where objectives look beside each other.
+    #[must_use]
+    pub fn with_switchings(self, switchings: Vec<SwitchingReport>) -> Self {
+        Self { switchings, ..self }
     }
 
     /// The calibrations that were made on the way, the newest of each objective: worth keeping, however the run ends.
@@ -277,6 +287,19 @@ impl Reposition {
         sink: &mut dyn Sink,
         leg: Leg,
     ) -> Result<(), ServoError> {
+        let before = self.done.last();
+        if let Some(before) = before.filter(|d| matches!(d.end, ServoEnd::Converged(_)))
+            && let Some(offset_um) = parcentric::offset_um(
+                [&before.objective, leg.objective()],
+                &self.switchings,
+                &self.calibrations,
+            )
+        {
+            let own = self.calibrations.get(leg.objective());
+            let nominal = scope.objective(leg.objective())?.nominal_um_per_px;
+            let um_per_px = own.map_or(nominal, Calibration::um_per_px);
+            parcentric::keep_centre(scope, offset_um, um_per_px)?;
+        }
         if matches!(&leg, Leg::Servo(objective) if self.known.contains(objective)) {
             self.servo(scope, sink, leg);
             return Ok(());

@@ -33,7 +33,23 @@ pub struct SwitchingReport {
     pub focus: Option<FocusSwitch>,
 }
 
+/// No nosepiece is off by more, um.
+const MOST_UM: f64 = 5000.0;
+
 impl SwitchingReport {
+    /// Whether these can be the numbers of a nosepiece.
+    pub fn is_possible(&self) -> bool {
+        let focus = self.focus.iter();
+        let focus = focus.flat_map(|f| [f.offset_um, f.repeatability_um]);
+        let mut all = self
+            .offset_um
+            .into_iter()
+            .chain(self.repeatability_um)
+            .chain(focus);
+        // What is no number is not within either.
+        all.all(|k| k.value.abs() <= MOST_UM && (0.0..=MOST_UM).contains(&k.sigma))
+    }
+
     /// What one later switch is expected to do to the view's centre, um, with the standard deviation of each coordinate: the mean's, and the
     /// scatter of the two arrivals.
     pub fn expected_um(&self) -> [Known; 2] {
