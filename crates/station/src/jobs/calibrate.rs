@@ -1,7 +1,7 @@
 //! Objectives calibrated one after the other, from the lowest magnification up, those that work in one medium together.
 
 use crate::{JobError, Kept, MadeCalibration, UseCase, Work};
-use scopeservo_scope::{Objective, ObjectiveId, by_immersion};
+use scopeservo_scope::{Immersion, Objective, ObjectiveId, by_immersion};
 use scopeservo_servo::{
     Bring, Calibrate, CalibrateOptions, Calibration, FocusOptions, Progress, Switching,
     SwitchingOptions, SwitchingReport, VisionOptions, agree,
@@ -82,29 +82,39 @@ impl CalibrateJob {
         }
     }
 
-    /// The switching that comes next: each calibration with the first one of its medium.
+    /// The switching that comes next, before the medium changes: each calibration of a medium with the first one of it.
     fn next_switching(&self, work: &Work<'_>) -> Result<Option<Switching>, JobError> {
+        let Some(last) = self.made.last().filter(|_| self.input.switching > 0) else {
+            return Ok(None);
+        };
+        let immersion = |made: &MadeCalibration| -> Result<Immersion, JobError> {
+            Ok(work
+                .scope()
+                .objective(&made.calibration.objective)?
+                .immersion)
+        };
+        let now = immersion(last)?;
+        if self.left.front().is_some_and(|next| next.immersion == now) {
+            return Ok(None);
+        }
         let mut pairs = Vec::new();
         for (k, made) in self.made.iter().enumerate() {
-            let immersion = |made: &MadeCalibration| {
-                let objective = work.scope().objective(&made.calibration.objective)?;
-                Ok::<_, JobError>(objective.immersion)
-            };
             let own = immersion(made)?;
-            for first in &self.made[..k] {
-                if immersion(first)? == own {
-                    pairs.push([first.calibration.clone(), made.calibration.clone()]);
-                    break;
+            let mut first = None;
+            for before in &self.made[..k] {
+                if first.is_none() && immersion(before)? == own {
+                    first = Some(before.calibration.clone());
                 }
             }
+            pairs.extend(first.map(|first| [first, made.calibration.clone()]));
         }
-        let pairs = pairs.into_iter().filter(|_| self.input.switching > 0);
         let options = SwitchingOptions {
             times: self.input.switching,
             focus: self.input.focus.clone(),
             vision: self.input.vision.clone(),
         };
-        let next = pairs.skip(self.switched.len()).next();
+        // Media come one after the other, and so do their pairs.
+        let next = pairs.into_iter().nth(self.switched.len());
         Ok(next.map(|pair| Switching::new(pair, options)))
     }
 
@@ -140,11 +150,11 @@ impl UseCase for CalibrateJob {
             State::Next => {
                 // What fails from now on goes back to where this one began.
                 work.scope().command_begins();
+                if let Some(switching) = self.next_switching(work)? {
+                    self.state = State::Switch(Box::new(switching));
+                    return Ok(Progress::Continue);
+                }
                 let Some(objective) = self.left.front() else {
-                    if let Some(switching) = self.next_switching(work)? {
-                        self.state = State::Switch(Box::new(switching));
-                        return Ok(Progress::Continue);
-                    }
                     return Ok(Progress::Done(CalibrateOutput {
                         made: std::mem::take(&mut self.made),
                         switching: std::mem::take(&mut self.switched),
