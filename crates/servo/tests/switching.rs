@@ -63,7 +63,6 @@ fn offset_and_repeatability_are_those_of_the_nosepiece_and_the_stage_comes_home(
         let bench = bench_seeded(config, seed);
         let home = bench.scope.gate().position().unwrap();
         let told = switched(&bench.scope, 8).unwrap();
-        println!("{half_width_um}: {told:?}");
         let truth = true_offset_um(&bench.twin, ["20x", "40x"]);
         // A uniform scatter of this half-width.
         let scatter = half_width_um / 3f64.sqrt();
@@ -110,7 +109,6 @@ fn the_heights_of_two_objectives_are_told_apart_as_well_as_stated() {
             z_um - bench.twin.truth_now().defocus_um
         };
         let truth = height_um(1) - height_um(0);
-        println!("{told:?} for {truth}");
         // The truth is that of one arrival of each.
         let sigma = told.offset_um.sigma.hypot(2f64.sqrt() / 3f64.sqrt());
         assert!(
@@ -217,7 +215,6 @@ fn in_a_new_session_a_height_that_is_predicted_takes_fewer_frames() {
         };
         all.push((frames(true), frames(false)));
     }
-    println!("frames with a prediction, and without: {all:?}");
     assert!(
         all.iter()
             .all(|(with, without)| with < without && *with <= 10)

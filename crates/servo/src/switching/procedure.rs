@@ -131,7 +131,7 @@ impl Switching {
     ) -> Result<Features, ServoError> {
         let id = &self.calibrations[which].objective;
         let frame = grab(scope, sink, FrameRole::Calibration, id)?;
-        Ok(self.options.vision.of_view(&gray(scope, &frame)?)?)
+        self.options.vision.of_view(&gray(scope, &frame)?)
     }
 
     /// Takes the reference, and steps aside.
