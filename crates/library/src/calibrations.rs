@@ -200,6 +200,7 @@ impl Calibrations for Folder {
 mod tests {
     use super::*;
     use scopeservo_geometry::Mat2;
+    use scopeservo_scope::Immersion;
     use std::fs;
 
     fn objective() -> Objective {
@@ -208,6 +209,7 @@ mod tests {
             magnification: 400.0,
             numerical_aperture: 0.65,
             nominal_um_per_px: 0.2,
+            immersion: Immersion::Air,
         }
     }
 
@@ -282,6 +284,7 @@ mod tests {
             magnification: 100.0,
             numerical_aperture: 0.25,
             nominal_um_per_px: 0.5,
+            immersion: Immersion::Air,
         };
         let sound = Calibration {
             schema: scopeservo_servo::CALIBRATION_SCHEMA,

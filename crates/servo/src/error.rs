@@ -394,6 +394,18 @@ pub enum ServoError {
         /// Why a view was not found again.
         reason: NotFound,
     },
+    /// Arrivals of two objectives that come in turn were not found in one view.
+    #[error(
+        "how well {to} comes back after {from} could not be seen, because of {reason}. Focus, go to a place with tissue, and try again"
+    )]
+    SwitchingUnclear {
+        /// The objective whose view is the wider one.
+        from: ObjectiveId,
+        /// The other one.
+        to: ObjectiveId,
+        /// Why a view was not found.
+        reason: NotFound,
+    },
     /// The stage scatters so much that nothing can be said of a calibration.
     #[error(
         "whether the calibration of {objective} still holds could not be told: by these moves its scale is known to {sigma_percent:.1} % only, as \

@@ -78,6 +78,7 @@ impl Twin {
                     magnification: o.magnification,
                     numerical_aperture: o.numerical_aperture,
                     nominal_um_per_px: o.nominal_um_per_px,
+                    immersion: o.immersion,
                 })
                 .collect(),
             offsets: fixed_offsets(&nosepiece, config.optics.len(), seed),

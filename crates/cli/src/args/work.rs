@@ -9,6 +9,7 @@ use scopeservo_servo::CalibrationMethod;
   scopeservo calibrate                       every objective, from the lowest magnification up
   scopeservo calibrate --objective 40x --json
   scopeservo calibrate --out tuesday         the report goes to tuesday/report.html, also when it fails
+  scopeservo calibrate --switching 5         and how well the nosepiece brings each objective back
   scopeservo calibrate --method two-step     as in the paper: fewer views, ten times less precise")]
 pub(crate) struct CalibrateArgs {
     #[command(flatten)]
@@ -22,6 +23,10 @@ pub(crate) struct CalibrateArgs {
     /// How: a chain of views, solved at once; or the paper's two steps about one view.
     #[arg(long, value_enum, default_value = "joint")]
     pub(crate) method: MethodArg,
+    /// Then let each objective come so often in turn with the lowest one of its medium: how far their centres and heights lie apart, and how well the
+    /// nosepiece repeats. From 2 on; 0 for none.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) switching: usize,
     #[command(flatten)]
     pub(crate) focusing: FocusingArgs,
     #[command(flatten)]

@@ -13,7 +13,7 @@ use crate::views::{keep_report, try_out};
 use scopeservo_library::Calibrations as _;
 use scopeservo_report::{Work, WorkEnd};
 use scopeservo_scope::{Objective, ObjectiveId};
-use scopeservo_servo::{CalibrateOptions, Calibration, EXAMPLE_MOVE};
+use scopeservo_servo::{CalibrateOptions, Calibration, EXAMPLE_MOVE, Known, SwitchingReport};
 use scopeservo_station::jobs::{CalibrateInput, CalibrateJob, CalibrateOutput};
 use serde_json::json;
 use std::path::Path;
@@ -21,6 +21,11 @@ use std::time::Instant;
 
 pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, CliError> {
     let focus = args.focusing.options()?;
+    if args.switching == 1 || args.switching > 100 {
+        return Err(CliError::Usage(
+            "--switching must be 0, or from 2 to 100: one arrival tells no scatter".into(),
+        ));
+    }
     // Before anything moves, and before it is opened.
     library_of(&args.instrument.description)?.try_calibrations(&[])?;
     try_out(&args.report.out)?;
@@ -38,6 +43,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
     let input = CalibrateInput {
         objectives,
         focus: (!args.no_focus).then_some(focus),
+        switching: args.switching,
         calibrate: CalibrateOptions {
             method: args.method.into(),
             ..CalibrateOptions::default()
@@ -67,7 +73,10 @@ pub(super) fn run(
     let started = Instant::now();
     let ran = opened.run(job, asked, &mut watcher, answer)?;
     match &ran.output {
-        Ok(output) => show_made(answer, &all_made(opened, output, &ran.made)),
+        Ok(output) => {
+            show_made(answer, &all_made(opened, output, &ran.made));
+            show_switching(answer, &output.switching);
+        }
         Err(_) => show_made(answer, &ran.made),
     }
     let end = WorkEnd {
@@ -136,6 +145,40 @@ fn show_made(answer: &Answer, made: &[Made]) {
             "calibration": calibration_json(&made.calibration),
         });
         answer.push("calibrations", entry);
+    }
+}
+
+/// What switching has shown.
+fn show_switching(answer: &Answer, all: &[SwitchingReport]) {
+    let known = |k: &Known, digits: usize| format!("{:.digits$} +- {:.digits$}", k.value, k.sigma);
+    for report in all {
+        let SwitchingReport { from, to, .. } = report;
+        let ([x, y], [sx, sy]) = (&report.offset_um, &report.repeatability_um);
+        say!(
+            answer,
+            "{to} after {from}, {} times: its centre lies x {}, y {} um from there",
+            report.arrivals[1],
+            known(x, 2),
+            known(y, 2)
+        );
+        if let Some(focus) = &report.focus {
+            say!(
+                answer,
+                "  its focus lies at z {} um from there, and one arrival repeats to {} um",
+                known(&focus.offset_um, 2),
+                known(&focus.repeatability_um, 2)
+            );
+        }
+        say!(
+            answer,
+            "  one arrival repeats to x {}, y {} um and {} deg (standard deviations)",
+            known(sx, 2),
+            known(sy, 2),
+            known(&report.repeatability_deg, 4)
+        );
+    }
+    if !all.is_empty() {
+        answer.put(json!({"switching": all}));
     }
 }
 

@@ -52,6 +52,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
             true => Vec::new(),
             false => known_calibrations(&opened, answer),
         },
+        switchings: opened.switchings.clone(),
     };
     let asked = Asked {
         inputs: json!({"name": args.name, "options": input.options}),

@@ -10,6 +10,31 @@ impl Instrument {
     /// will be.
     pub fn focus_found(&self, id: &ObjectiveId, z: Length) {
         self.gate.knowledge().focus().insert(id.clone(), z);
+        self.gate.knowledge().parfocal().last = Some(id.clone());
+    }
+
+    /// Tells how much higher the second of two objectives is in focus than the first, from an earlier session. Alone it says no height: another
+    /// specimen lies elsewhere, and shifts all objectives alike.
+    pub fn parfocal_known(&self, [from, to]: [&ObjectiveId; 2], offset: Length) {
+        let mut parfocal = self.gate.knowledge().parfocal();
+        parfocal.offsets.insert([from.clone(), to.clone()], offset);
+    }
+
+    /// Where an objective that was not in focus yet is expected to be: as much higher or lower than the one that was focused last, as it was in an
+    /// earlier session. `None` where that is not known. Nothing goes there by itself: a sweep looks there first, inside its own bounds.
+    pub fn predicted_focus(&self, id: &ObjectiveId) -> Option<Length> {
+        let parfocal = self.gate.knowledge().parfocal();
+        let last = parfocal.last.as_ref()?;
+        let here = self.gate.knowledge().focus().get(last)?.m();
+        let of = |from: &ObjectiveId, to: &ObjectiveId| {
+            let known = parfocal.offsets.get(&[from.clone(), to.clone()]);
+            known.map(|offset| offset.m())
+        };
+        let firsts = || parfocal.offsets.keys().map(|[first, _]| first);
+        let offset = of(last, id)
+            .or_else(|| Some(-of(id, last)?))
+            .or_else(|| firsts().find_map(|first| Some(of(first, id)? - of(first, last)?)));
+        Some(Length::from_m(here + offset?))
     }
 
     /// Where each objective was last in focus.

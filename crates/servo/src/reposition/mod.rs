@@ -2,6 +2,7 @@
 
 mod ladder;
 mod outcome;
+mod parcentric;
 mod procedure;
 mod words;
 

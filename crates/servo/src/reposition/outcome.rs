@@ -102,7 +102,8 @@ impl Reason {
                 Self::CalibrationFailed
             }
             ErrorCode::OutsideLimits => Self::OutsideLimits,
-            ErrorCode::Refused
+            ErrorCode::Immersion
+            | ErrorCode::Refused
             | ErrorCode::Interrupted
             | ErrorCode::Fault
             | ErrorCode::Internal => return None,

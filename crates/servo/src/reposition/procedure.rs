@@ -1,16 +1,16 @@
 //! The run as a step machine.
 
-use super::words;
 use super::{Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, SoFar, Verdict};
+use super::{parcentric, words};
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
     Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions,
-    Localizer, Phase, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink, Target,
-    VisionOptions,
+    Localizer, Phase, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink, SwitchingReport,
+    Target, VisionOptions,
 };
-use scopeservo_scope::{Instrument, ObjectiveId};
+use scopeservo_scope::{Immersion, Instrument, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -62,6 +62,12 @@ pub struct Reposition {
     /// Objectives whose calibration was known before the run.
     #[serde(default)]
     known: BTreeSet<ObjectiveId>,
+    /// What is known of the nosepiece.
+    #[serde(default)]
+    switchings: Vec<SwitchingReport>,
+    /// What was on the specimen at the beginning, where that was known.
+    #[serde(default)]
+    immersion: Option<Immersion>,
     done: Vec<MagnificationResult>,
 }
 
@@ -75,6 +81,8 @@ impl Reposition {
             state: State::Begin,
             calibrations: BTreeMap::new(),
             known: BTreeSet::new(),
+            switchings: Vec::new(),
+            immersion: None,
             done: Vec::new(),
         }
     }
@@ -132,6 +140,12 @@ impl Reposition {
         self
     }
 
+    /// Takes what is known of where objectives look beside each other.
+    #[must_use]
+    pub fn with_switchings(self, switchings: Vec<SwitchingReport>) -> Self {
+        Self { switchings, ..self }
+    }
+
     /// The calibrations that were made on the way, the newest of each objective: worth keeping, however the run ends.
     pub fn calibrations_made(&self) -> impl Iterator<Item = (&ObjectiveId, &Calibration)> {
         let made = self.calibrations.iter();
@@ -144,6 +158,7 @@ impl Reposition {
             objectives: scope.gate().objectives(),
             target: &target.objective,
             target_is_calibrated: self.calibrations.contains_key(&target.objective),
+            immersion: self.immersion,
             done: &self.done,
         }
     }
@@ -171,6 +186,8 @@ impl Reposition {
         target: &Target,
     ) -> Result<Option<Outcome>, ServoError> {
         scope.objective(&target.objective)?;
+        let media = scope.gate().immersions()?;
+        self.immersion = media.first().copied().filter(|_| media.len() == 1);
         let so_far = self.so_far(scope, target);
         let first = Ladder.next(&so_far);
         let engine = self.options.vision.engine.info();
@@ -270,6 +287,19 @@ impl Reposition {
         sink: &mut dyn Sink,
         leg: Leg,
     ) -> Result<(), ServoError> {
+        let before = self.done.last();
+        if let Some(before) = before.filter(|d| matches!(d.end, ServoEnd::Converged(_)))
+            && let Some(offset_um) = parcentric::offset_um(
+                [&before.objective, leg.objective()],
+                &self.switchings,
+                &self.calibrations,
+            )
+        {
+            let own = self.calibrations.get(leg.objective());
+            let nominal = scope.objective(leg.objective())?.nominal_um_per_px;
+            let um_per_px = own.map_or(nominal, Calibration::um_per_px);
+            parcentric::keep_centre(scope, offset_um, um_per_px)?;
+        }
         if matches!(&leg, Leg::Servo(objective) if self.known.contains(objective)) {
             self.servo(scope, sink, leg);
             return Ok(());
@@ -318,21 +348,29 @@ impl Reposition {
         end: &ServoEnd,
         seen: bool,
     ) -> Option<Outcome> {
-        let next = Ladder.next(&self.so_far(scope, target));
-        let goes_on = match end {
-            ServoEnd::Converged(_) => true,
-            ServoEnd::Lost(_) => seen,
-            _ => false,
+        let so_far = self.so_far(scope, target);
+        let next = match end {
+            ServoEnd::Converged(_) => Ladder.next(&so_far),
+            ServoEnd::Lost(_) if seen => Ladder.next(&so_far),
+            ServoEnd::Lost(_) => Ladder.wider(&so_far),
+            _ => None,
         };
-        if let Some(next) = next.filter(|_| goes_on) {
-            self.bring(next);
-            return None;
+        match next {
+            Some(next) => {
+                self.bring(next);
+                None
+            }
+            None => Some(self.end(end)),
         }
+    }
+
+    /// The answer that the end of the last loop means.
+    fn end(&self, end: &ServoEnd) -> Outcome {
         let at = self.done.last().map_or(0.0, |d| d.magnification);
-        let seen_below = self.done.len() > 1;
+        let seen_below = self.done.iter().any(|d| d.magnification < at);
         let (verdict, reason, message) =
             words::answer_of(end, at, seen_below, self.options.servo.angle_deg);
-        Some(self.outcome(verdict, reason, message))
+        self.outcome(verdict, reason, message)
     }
 
     fn outcome(&self, verdict: Verdict, reason: Reason, message: String) -> Outcome {
@@ -343,21 +381,36 @@ impl Reposition {
             message,
             estimated_error_um: last.map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
             estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
-            unique_within_um: self.done.first().map(|widest| {
-                let size = widest.calibration.image_size_px;
-                size.map(|px| px as f64 * widest.calibration.um_per_px())
-            }),
+            unique_within_um: self.done.iter().map(view_um).max_by(wider),
             magnifications: self.done.clone(),
         }
     }
 
     /// Turns what the method or the limits refuse into an answer; faults and interruptions stay errors.
     fn answer(&self, error: ServoError) -> Result<Outcome, ServoError> {
+        // A wider view would have taken another medium: what was looked for was not found.
+        if let ServoError::Scope(ScopeError::ImmersionNotAgreed { .. }) = &error
+            && let Some(end @ ServoEnd::Lost(_)) = self.done.last().map(|d| &d.end)
+        {
+            let outcome = self.end(end);
+            let message = format!("{}. For a wider view {error}", outcome.message);
+            return Ok(Outcome { message, ..outcome });
+        }
         match Reason::of(&error) {
             Some(reason) => Ok(self.outcome(Verdict::Refused, reason, error.to_string())),
             None => Err(error),
         }
     }
+}
+
+/// Width and height of a view, um on the specimen.
+fn view_um(at: &MagnificationResult) -> [f64; 2] {
+    let size = at.calibration.image_size_px;
+    size.map(|px| px as f64 * at.calibration.um_per_px())
+}
+
+fn wider(a: &[f64; 2], b: &[f64; 2]) -> std::cmp::Ordering {
+    a[0].total_cmp(&b[0])
 }
 
 impl Procedure for Reposition {
