@@ -95,6 +95,8 @@ const BOTTOM: f64 = 34.0;
 pub struct Plot {
     x: [f64; 2],
     y: [f64; 2],
+    left: f64,
+    height: f64,
     body: String,
 }
 
@@ -143,24 +145,45 @@ impl Plot {
 
     /// Axes with their names alone.
     pub fn bare(x: [f64; 2], y: [f64; 2], x_name: &str, y_name: &str) -> Self {
+        Self::sized(x, y, [x_name, y_name], [LEFT, HEIGHT])
+    }
+
+    /// So many rows from 0 on, with room for their names.
+    pub fn rows(x: [f64; 2], rows: usize, x_name: &str) -> Self {
+        let height = 15.0 * (rows + 1) as f64 + TOP + BOTTOM;
+        Self::sized(x, [-1.0, rows as f64], [x_name, ""], [118.0, height])
+    }
+
+    fn sized(
+        x: [f64; 2],
+        y: [f64; 2],
+        [x_name, y_name]: [&str; 2],
+        [left, height]: [f64; 2],
+    ) -> Self {
         let mut body = String::new();
         let _ = write!(
             body,
             "<text class=name x=0 y=11>{}</text><text class=name x={:.1} y={:.1} text-anchor=middle>{}</text>",
             escape(y_name),
-            LEFT + (WIDTH - LEFT - RIGHT) / 2.0,
-            HEIGHT - 4.0,
+            left + (WIDTH - left - RIGHT) / 2.0,
+            height - 4.0,
             escape(x_name)
         );
-        Self { x, y, body }
+        Self {
+            x,
+            y,
+            left,
+            height,
+            body,
+        }
     }
 
     fn px(&self, x: f64) -> f64 {
-        LEFT + share(x, self.x) * (WIDTH - LEFT - RIGHT)
+        self.left + share(x, self.x) * (WIDTH - self.left - RIGHT)
     }
 
     fn py(&self, y: f64) -> f64 {
-        HEIGHT - BOTTOM - share(y, self.y) * (HEIGHT - TOP - BOTTOM)
+        self.height - BOTTOM - share(y, self.y) * (self.height - TOP - BOTTOM)
     }
 
     /// A line across at a y, with a label.
@@ -169,9 +192,10 @@ impl Plot {
         let at = self.py(y);
         let _ = write!(
             self.body,
-            "<path class={class} d=\"M{LEFT} {at:.1}H{:.1}\"/><text x={:.1} y={:.1} text-anchor=end>{}</text>",
+            "<path class={class} d=\"M{:.1} {at:.1}H{:.1}\"/><text x={:.1} y={:.1} text-anchor=end>{}</text>",
+            self.left,
             WIDTH - RIGHT,
-            LEFT - 5.0,
+            self.left - 5.0,
             at + 4.0,
             escape(label)
         );
@@ -183,7 +207,7 @@ impl Plot {
             self.body,
             "<text x={:.1} y={:.1} text-anchor=middle>{}</text>",
             self.px(x),
-            HEIGHT - BOTTOM + 13.0,
+            self.height - BOTTOM + 13.0,
             escape(label)
         );
     }
@@ -238,30 +262,31 @@ impl Plot {
         );
     }
 
-    /// A filled rectangle, beneath what comes later.
+    /// A filled rectangle, beneath all else.
     pub fn band(&mut self, x: [f64; 2], y: [f64; 2]) {
-        self.rectangle("band", x, y);
+        let band = self.rectangle("band", x, y);
+        self.body.insert_str(0, &band);
     }
 
     /// The outline of a rectangle.
     pub fn limit(&mut self, x: [f64; 2], y: [f64; 2]) {
-        self.rectangle("limit", x, y);
+        let limit = self.rectangle("limit", x, y);
+        self.body.push_str(&limit);
     }
 
-    fn rectangle(&mut self, class: &str, x: [f64; 2], y: [f64; 2]) {
+    fn rectangle(&self, class: &str, x: [f64; 2], y: [f64; 2]) -> String {
         let (left, top) = (self.px(x[0]), self.py(y[1]));
-        let _ = write!(
-            self.body,
+        format!(
             "<rect class={class} x={left:.1} y={top:.1} width={:.1} height={:.1} />",
             self.px(x[1]) - left,
             self.py(y[0]) - top
-        );
+        )
     }
 
     fn finish(self) -> String {
         format!(
-            "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=img>{}</svg>",
-            self.body
+            "<svg viewBox=\"0 0 {WIDTH} {}\" role=img>{}</svg>",
+            self.height, self.body
         )
     }
 }

@@ -236,11 +236,10 @@ fn hits(records: &[&Record], range: std::ops::Range<usize>) -> (usize, usize) {
 
 fn coverage(groups: &BTreeMap<String, Vec<&Record>>, range: std::ops::Range<usize>) -> Plot {
     let rows = groups.len() as f64;
-    let mut plot = Plot::bare(
+    let mut plot = Plot::rows(
         [60.0, 100.0],
-        [-1.0, rows],
+        groups.len(),
         "% of intervals that hold the truth",
-        "",
     );
     plot.band([92.0, 98.0], [-1.0, rows]);
     for v in [70.0, 80.0, 90.0, 95.0, 100.0] {
@@ -248,7 +247,9 @@ fn coverage(groups: &BTreeMap<String, Vec<&Record>>, range: std::ops::Range<usiz
     }
     for (k, (name, of)) in groups.iter().rev().enumerate() {
         let (hits, all) = hits(of, range.clone());
-        let short: String = name.replace("repeatability", "scatter");
+        let short = name
+            .replace("simulated ", "")
+            .replace("repeatability", "scatter");
         plot.y_tick(k as f64, &short);
         if all > 0 {
             let interval = wilson_95(hits, all).map(|v| 100.0 * v);
