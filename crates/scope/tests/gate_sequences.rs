@@ -377,6 +377,29 @@ fn after_a_change_it_comes_back_in_allowed_steps_and_short_of_an_unknown_focus()
     );
 }
 
+/// 10x is focused on a slide that is 200 um thicker, 40x was focused on the one before.
+#[test]
+fn a_thicker_slide_that_one_objective_was_focused_on_lifts_the_others() {
+    let devices = Devices::new();
+    let clock = Arc::new(VirtualClock::new());
+    let scope = devices.instrument(rules(), clock, CancelToken::new());
+    let side = scope.gate().info().positive_z;
+    let found = |name: &str, um: f64| scope.focus_found(&id(name), Length::from_um(um));
+    let at = |name: &str| scope.focus_positions()[&id(name)].m();
+    let up = |um: f64| side.away(0.0, um * 1e-6) * 1e6;
+    found("10x", 0.0);
+    found("40x", up(5.0));
+    found("10x", up(200.0));
+    assert!((at("40x") - up(205.0) * 1e-6).abs() < 1e-12);
+    // Nearer again: nobody knows where 40x is now, and it stays as far.
+    found("10x", up(-50.0));
+    assert!((at("40x") - up(205.0) * 1e-6).abs() < 1e-12);
+    // What scatters lifts nothing, however often.
+    found("40x", up(-45.0));
+    (0..100).for_each(|k| found("10x", up(if k % 2 == 0 { -45.0 } else { -50.0 })));
+    assert!((at("40x") - up(-45.0) * 1e-6).abs() < 1e-12);
+}
+
 #[test]
 fn what_an_earlier_session_knew_of_heights_counts_from_the_objective_that_was_focused_last() {
     let devices = Devices::new();

@@ -5,11 +5,27 @@ use crate::{FlatField, Length, ObjectiveId};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// A focus that lies so much farther from the specimen than before is that of another slide, m: seats and drifts change it by less.
+const SAME_SLIDE_M: f64 = 10e-6;
+
 impl Instrument {
     /// Tells at which z of the stage an objective is in focus. The differences between objectives predict where the next one
     /// will be.
+    ///
+    /// Where it lies farther from the specimen than before, a thicker slide may be in, which lifts the focus of all: the others count as so much
+    /// farther, too, until they are focused. Where it lies nearer they stay as far as they were.
     pub fn focus_found(&self, id: &ObjectiveId, z: Length) {
-        self.gate.knowledge().focus().insert(id.clone(), z);
+        let side = self.gate.positive_z();
+        let mut focus = self.gate.knowledge().focus();
+        if let Some(before) = focus.insert(id.clone(), z) {
+            let farther = side.nearer_by(before.m(), z.m());
+            if farther > SAME_SLIDE_M {
+                for (_, other) in focus.iter_mut().filter(|(other, _)| *other != id) {
+                    *other = Length::from_m(side.away(other.m(), farther));
+                }
+            }
+        }
+        drop(focus);
         self.gate.knowledge().parfocal().last = Some(id.clone());
     }
 
