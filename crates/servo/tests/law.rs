@@ -4,18 +4,18 @@ mod common;
 
 use common::{Listener, PLACE_UM, bench, one_objective};
 use scopeservo_servo::{
-    Calibrate, CalibrateOptions, ControlLaw, Event, PoseEstimate, Proportional, Servo, ServoEnd,
-    ServoOptions, ServoTask, Velocity, VisionOptions, run,
+    Calibrate, CalibrateOptions, Calibration, ControlLaw, Event, PoseEstimate, Proportional, Servo,
+    ServoEnd, ServoOptions, ServoTask, Velocity, VisionOptions, run,
 };
 
 /// Halves the error, and takes all of it away when it is near.
 struct NearThenAll;
 
 impl ControlLaw for NearThenAll {
-    fn velocity(&self, estimate: &PoseEstimate) -> Velocity {
+    fn velocity(&self, estimate: &PoseEstimate, view: &Calibration) -> Velocity {
         let near = estimate.error.distance_um() < 10.0;
         let lambda = if near { 1.0 } else { 0.5 };
-        Proportional { lambda }.velocity(estimate)
+        Proportional { lambda }.velocity(estimate, view)
     }
 }
 
@@ -44,6 +44,7 @@ fn a_control_law_is_one_file() {
         vision: &vision,
         options: &options,
         law: Some(&NearThenAll),
+        hand_overs: &[],
         localizer: None,
     };
     // A loop with its task is a procedure like any other.

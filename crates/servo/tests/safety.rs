@@ -88,6 +88,7 @@ fn a_calibration_with_the_wrong_sign_is_stopped_before_it_runs_away() {
         vision: &vision,
         options: &options,
         law: None,
+        hand_overs: &[],
         localizer: None,
     };
     let mut servo = Servo::default();

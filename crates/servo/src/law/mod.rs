@@ -1,12 +1,14 @@
 //! Control: pose error to velocity, and the velocity as a motion of the stage. A law is one file here, or anything that implements
 //! [`ControlLaw`].
 
+mod direct;
 mod proportional;
 
 use crate::{Calibration, Motion2, PoseEstimate};
 use scopeservo_geometry::{Mat2, Vec2};
 use serde::{Deserialize, Serialize};
 
+pub use direct::Direct;
 pub use proportional::{Proportional, control_law};
 
 /// A velocity v_c of {C} in its own axes: metres and radians per iteration.
@@ -31,8 +33,9 @@ impl Velocity {
 
 /// How an error becomes a velocity.
 pub trait ControlLaw: Send + Sync {
-    /// The velocity for one iteration. An error that is known badly may be answered by less.
-    fn velocity(&self, error: &PoseEstimate) -> Velocity;
+    /// The velocity for one iteration with the calibration of the active objective. An error, or a calibration, that is known badly may be
+    /// answered by less.
+    fn velocity(&self, error: &PoseEstimate, view: &Calibration) -> Velocity;
 }
 
 /// The motion of the optics, in stage axes, that carries out `velocity` for one iteration: Eq. (5) backwards. Without a

@@ -1,6 +1,7 @@
 //! Which objective comes next.
 
 use super::MagnificationResult;
+use crate::ServoEnd;
 use scopeservo_scope::{Objective, ObjectiveId};
 use serde::{Deserialize, Serialize};
 
@@ -59,16 +60,63 @@ impl LegPolicy for Ladder {
     }
 
     fn outlook(&self, so_far: &SoFar<'_>) -> Vec<ObjectiveId> {
-        let Some(last) = so_far.objectives.iter().find(|o| o.id == *so_far.target) else {
-            return Vec::new();
-        };
-        let mut rungs: Vec<_> = so_far
-            .objectives
-            .iter()
-            .filter(|o| o.id == last.id || o.magnification < last.magnification)
-            .collect();
-        rungs.sort_by(|a, b| a.magnification.total_cmp(&b.magnification));
+        let rungs = rungs(so_far.objectives, so_far.target);
         rungs.iter().map(|o| o.id.clone()).collect()
+    }
+}
+
+/// The target's objective and those below it, from the lowest magnification on.
+fn rungs<'a>(objectives: &'a [Objective], target: &ObjectiveId) -> Vec<&'a Objective> {
+    let Some(last) = objectives.iter().find(|o| o.id == *target) else {
+        return Vec::new();
+    };
+    let mut rungs: Vec<_> = objectives
+        .iter()
+        .filter(|o| o.id == last.id || o.magnification < last.magnification)
+        .collect();
+    rungs.sort_by(|a, b| a.magnification.total_cmp(&b.magnification));
+    rungs
+}
+
+/// Those above one of them.
+pub(super) fn rungs_above<'a>(
+    objectives: &'a [Objective],
+    here: &ObjectiveId,
+    target: &ObjectiveId,
+) -> Vec<&'a Objective> {
+    let mut all = rungs(objectives, target);
+    let below = all.iter().position(|o| o.id == *here);
+    all.drain(..below.map_or(0, |k| k + 1));
+    all
+}
+
+/// Direct control: from the lowest magnification to whichever took over, the target's own if possible. What was handed over and is not seen there is
+/// looked for once with the objectives that were passed over.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Shortest;
+
+impl LegPolicy for Shortest {
+    fn next(&self, so_far: &SoFar<'_>) -> Option<Leg> {
+        let rungs = self.outlook(so_far);
+        if so_far.done.is_empty() && rungs.len() > 1 && !so_far.target_is_calibrated {
+            return Some(Leg::Calibrate(so_far.target.clone()));
+        }
+        let Some(last) = so_far.done.last() else {
+            return rungs.first().cloned().map(Leg::Servo);
+        };
+        let at = rungs.iter().position(|id| *id == last.objective)?;
+        let untried = |id: &&ObjectiveId| so_far.done.iter().all(|d| d.objective != **id);
+        let next = match &last.end {
+            ServoEnd::HandedOver { to, .. } => Some(to),
+            // The highest of those that were passed over is the nearest to what was known.
+            ServoEnd::Lost(_) => rungs[..at].iter().rev().find(untried).or(rungs.get(at + 1)),
+            _ => rungs.get(at + 1),
+        };
+        next.cloned().map(Leg::Servo)
+    }
+
+    fn outlook(&self, so_far: &SoFar<'_>) -> Vec<ObjectiveId> {
+        Ladder.outlook(so_far)
     }
 }
 

@@ -5,6 +5,6 @@ mod outcome;
 mod procedure;
 mod words;
 
-pub use ladder::{Ladder, Leg, LegPolicy, SoFar};
+pub use ladder::{Ladder, Leg, LegPolicy, Shortest, SoFar};
 pub use outcome::{MagnificationResult, Outcome, Reason, Verdict};
 pub use procedure::{Reposition, RepositionOptions};

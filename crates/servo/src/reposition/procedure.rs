@@ -1,16 +1,19 @@
 //! The run as a step machine.
 
+use super::ladder::rungs_above;
 use super::words;
-use super::{Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, SoFar, Verdict};
+use super::{
+    Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Shortest, SoFar, Verdict,
+};
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
     Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions,
-    Localizer, Phase, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink, Target,
-    VisionOptions,
+    HandOver, Law, Localizer, Phase, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink,
+    Target, VisionOptions,
 };
-use scopeservo_scope::{Instrument, ObjectiveId};
+use scopeservo_scope::{Instrument, Objective, ObjectiveId};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -138,6 +141,13 @@ impl Reposition {
         made.filter(|(objective, _)| !self.known.contains(*objective))
     }
 
+    fn policy(&self) -> &dyn LegPolicy {
+        match self.options.servo.law {
+            Law::Direct => &Shortest,
+            Law::Proportional => &Ladder,
+        }
+    }
+
     /// What the policy goes by.
     fn so_far<'a>(&'a self, scope: &'a Instrument, target: &'a Target) -> SoFar<'a> {
         SoFar {
@@ -172,10 +182,10 @@ impl Reposition {
     ) -> Result<Option<Outcome>, ServoError> {
         scope.objective(&target.objective)?;
         let so_far = self.so_far(scope, target);
-        let first = Ladder.next(&so_far);
+        let first = self.policy().next(&so_far);
         let engine = self.options.vision.engine.info();
         let event = Event::Started {
-            objectives: Ladder.outlook(&so_far),
+            objectives: self.policy().outlook(&so_far),
             target_objective: target.objective.clone(),
             engine: engine.name,
             cpu_level: engine.cpu_level,
@@ -239,10 +249,17 @@ impl Reposition {
                     ServoError::CannotGoOn("a stored run lacks a calibration; start it anew".into())
                 };
                 let here = self.calibrations.get(leg.objective());
+                let here = here.ok_or_else(missing)?;
+                let at_target = target_calibration.as_ref().ok_or_else(missing)?;
+                let hand_overs = match self.options.servo.law {
+                    Law::Direct => hand_overs(scope, &self.calibrations, here, at_target),
+                    Law::Proportional => Vec::new(),
+                };
                 let task = ServoTask {
                     target: &target,
-                    view_calibration: here.ok_or_else(missing)?,
-                    target_calibration: target_calibration.as_ref().ok_or_else(missing)?,
+                    view_calibration: here,
+                    target_calibration: at_target,
+                    hand_overs: &hand_overs,
                     vision: &self.options.vision,
                     options: &self.options.servo,
                     law: None,
@@ -303,7 +320,7 @@ impl Reposition {
         match leg {
             Leg::Servo(_) => self.servo(scope, sink, leg),
             Leg::Calibrate(_) => {
-                if let Some(next) = Ladder.next(&self.so_far(scope, target)) {
+                if let Some(next) = self.policy().next(&self.so_far(scope, target)) {
                     self.bring(next);
                 }
             }
@@ -318,10 +335,11 @@ impl Reposition {
         end: &ServoEnd,
         seen: bool,
     ) -> Option<Outcome> {
-        let next = Ladder.next(&self.so_far(scope, target));
+        let next = self.policy().next(&self.so_far(scope, target));
         let goes_on = match end {
-            ServoEnd::Converged(_) => true,
-            ServoEnd::Lost(_) => seen,
+            ServoEnd::Converged(_) | ServoEnd::HandedOver { .. } => true,
+            // What was handed over and is not there may be seen by the objective in between.
+            ServoEnd::Lost(_) => seen || self.done.len() > 1,
             _ => false,
         };
         if let Some(next) = next.filter(|_| goes_on) {
@@ -358,6 +376,20 @@ impl Reposition {
             None => Err(error),
         }
     }
+}
+
+/// The objectives that may take over from one: the highest first.
+fn hand_overs(
+    scope: &Instrument,
+    calibrations: &BTreeMap<ObjectiveId, Calibration>,
+    here: &Calibration,
+    target: &Calibration,
+) -> Vec<HandOver> {
+    let objectives = scope.gate().objectives();
+    let above = rungs_above(objectives, &here.objective, &target.objective);
+    let over =
+        |next: &&Objective| HandOver::between(here, next, calibrations.get(&next.id), target);
+    above.iter().rev().map(over).collect()
 }
 
 impl Procedure for Reposition {

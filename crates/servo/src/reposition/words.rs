@@ -24,7 +24,7 @@ pub(super) fn answer_of(
                 format!("the saved view was not found at {at}x: {reason}. {advice}, and try again");
             (Verdict::NotFound, Reason::TargetNotInView, message)
         }
-        ServoEnd::IterationLimit(result) => {
+        ServoEnd::IterationLimit(result) | ServoEnd::HandedOver { last: result, .. } => {
             let message = format!(
                 "at {at}x the view was still {:.2} um off after {} iterations; raise the limit or lambda, or look for \
                      vibration",

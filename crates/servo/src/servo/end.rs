@@ -2,6 +2,7 @@
 
 use crate::PoseError;
 use scopeservo_registration::{NotFound, Rival};
+use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 
 /// How a loop ended.
@@ -10,6 +11,15 @@ use serde::{Deserialize, Serialize};
 pub enum ServoEnd {
     /// The view is there.
     Converged(ServoResult),
+    /// Below the target's own magnification: the last move surely brought the target into the view of a higher one.
+    HandedOver {
+        /// To which objective.
+        to: ObjectiveId,
+        /// Within this of its goal, um: three standard deviations.
+        lands_within_um: f64,
+        /// The last error, before that move.
+        last: ServoResult,
+    },
     /// The target is not in the view.
     Lost(NotFound),
     /// The iterations ran out.
@@ -47,6 +57,7 @@ impl ServoEnd {
             | Self::IterationLimit(r)
             | Self::Diverged(r)
             | Self::Drifting { last: r, .. } => Some(r),
+            Self::HandedOver { last, .. } => Some(last),
             // What is not known to be the specimen says nothing of its distance.
             Self::Lost(_)
             | Self::Ambiguous { .. }
@@ -59,6 +70,7 @@ impl ServoEnd {
     pub fn word(&self) -> &'static str {
         match self {
             Self::Converged(_) => "converged",
+            Self::HandedOver { .. } => "handed_over",
             Self::Lost(_) => "lost",
             Self::IterationLimit(_) => "iteration_limit",
             Self::Diverged(_) => "diverged",

@@ -3,6 +3,7 @@
 use super::sight::{Located, Sight};
 use super::state::Servo;
 use crate::event::tell;
+use crate::pose::image_angle;
 use crate::{Event, Progress, ServoEnd, ServoTask, Sink, Velocity};
 use scopeservo_registration::NotFound;
 use scopeservo_scope::Instrument;
@@ -23,8 +24,12 @@ impl Servo {
     }
 
     /// The stage is about to move.
-    pub(crate) fn moving(&mut self, located: &Located, velocity: &Velocity) {
-        let error_um = located.pose.error.t_um();
+    pub(crate) fn moving(&mut self, task: &ServoTask<'_>, located: &Located, velocity: &Velocity) {
+        let error = &located.pose.error;
+        let left_rad = error.theta_rad + velocity.theta_rad;
+        let (view, target) = (task.view_calibration, task.target_calibration);
+        self.expected.moving(image_angle(left_rad, view, target));
+        let error_um = error.t_um();
         self.proof.moving(error_um, velocity.distance_um());
         self.convergence.moving();
     }

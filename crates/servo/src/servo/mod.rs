@@ -8,6 +8,7 @@ mod convergence;
 pub(crate) mod end;
 mod expected;
 mod frames;
+pub(crate) mod hand_over;
 pub(crate) mod options;
 pub(crate) mod run;
 mod sight;
@@ -59,6 +60,10 @@ impl Servo {
             Belief::LookAgain => return Ok(self.look_again(task, &sight)),
             Belief::Unknown => return self.step_aside(task, scope, sink, &sight),
         };
+        // Below the target's magnification one measurement is enough, where it surely leads into a higher objective's view.
+        if let Some(end) = self.hand_over(task, scope, &sight, &located)? {
+            return Ok(Progress::Done(end));
+        }
         // Stage: Eq. (5). A frame that passes is confirmed by the next one from the same place.
         let measured = sight.measured(&located, task);
         match self.convergence.take(&test, measured, passes) {
@@ -66,7 +71,7 @@ impl Servo {
             Standing::Inside => {}
             Standing::Outside => {
                 let velocity = task.velocity(&located.pose, test.turns);
-                self.moving(&located, &velocity);
+                self.moving(task, &located, &velocity);
                 let goal = sight.goal(&velocity);
                 move_from_one_side(scope, &present, &goal, task.view_calibration)?;
             }

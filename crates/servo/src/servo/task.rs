@@ -1,6 +1,7 @@
 //! What a servo loop needs to know.
 
 use super::convergence::Criteria;
+use super::hand_over::HandOver;
 use crate::{
     Calibration, ControlLaw, Expected, FeatureLocalizer, Localizer, Measurement, PoseEstimate,
     ServoError, ServoOptions, Target, Velocity, VisionOptions,
@@ -24,6 +25,8 @@ pub struct ServoTask<'a> {
     pub options: &'a ServoOptions,
     /// The control law; `None` for the one that the options name.
     pub law: Option<&'a dyn ControlLaw>,
+    /// Objectives that may take over below the target's own magnification, the highest first; none to converge here.
+    pub hand_overs: &'a [HandOver],
     /// What finds the target in frames; `None` for features, as the vision options say.
     pub localizer: Option<&'a dyn Localizer>,
 }
@@ -77,8 +80,8 @@ impl ServoTask<'_> {
     /// The velocity for an error; without a rotation where the stage cannot turn.
     pub(crate) fn velocity(&self, error: &PoseEstimate, turns: bool) -> Velocity {
         let velocity = match self.law {
-            Some(law) => law.velocity(error),
-            None => self.options.control_law().velocity(error),
+            Some(law) => law.velocity(error, self.view_calibration),
+            None => self.options.velocity(error, self.view_calibration),
         };
         Velocity {
             theta_rad: if turns { velocity.theta_rad } else { 0.0 },
