@@ -66,8 +66,8 @@ pub use pose::{PoseError, PoseEstimate, pose_error, pose_estimate};
 pub use procedure::{Procedure, Progress, run};
 pub use proof::FixedPlaces;
 pub use reposition::{
-    Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Reposition, RepositionOptions,
-    Shortest, SoFar, Verdict,
+    Ladder, Leg, LegPolicy, LimitedBy, MagnificationResult, Outcome, Reason, Reposition,
+    RepositionOptions, Shortest, SoFar, Verdict,
 };
 pub use self_test::{
     Broken, Change, Changing, SelfTest, SelfTestReport, SelfTestVerdict, Together, changes_between,

@@ -361,6 +361,7 @@ impl Reposition {
             message,
             estimated_error_um: last.map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
             estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
+            limited_by: last.and_then(|r| r.limited_by),
             unique_within_um: self.done.first().map(|widest| {
                 let size = widest.calibration.image_size_px;
                 size.map(|px| px as f64 * widest.calibration.um_per_px())

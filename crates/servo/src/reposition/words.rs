@@ -1,6 +1,6 @@
 //! The end of a run in words.
 
-use super::{Reason, Verdict};
+use super::{LimitedBy, Reason, Verdict};
 use crate::target::MIN_TARGET_FEATURES;
 use crate::words::rival_in_words;
 use crate::{ServoEnd, ServoResult};
@@ -85,8 +85,13 @@ fn converged(result: &ServoResult, angle_deg: f64) -> (Verdict, Reason, String) 
         );
         return (Verdict::Refused, Reason::CannotTurn, message);
     }
+    let limit = match result.limited_by {
+        Some(LimitedBy::Repeatability) => ", as near as this stage comes back to a place",
+        Some(LimitedBy::Measurement) => ", as near as this little texture tells",
+        None => "",
+    };
     let message = format!(
-        "the saved view is back, {:.2} um and {:.4} deg off by its own measurement",
+        "the saved view is back, {:.2} um and {:.4} deg off by its own measurement{limit}",
         result.error.distance_um(),
         result.error.angle_deg().abs()
     );

@@ -141,6 +141,10 @@ impl Servo {
                 let passes = pose.is_some_and(|pose| test.passes(&pose.error, &moved));
                 Belief::Of(Box::new(sight.relocated(*moved, task)), passes)
             }
+            // A step aside shows at once what looking again and again shows place by place.
+            Proved::Bent if self.proof.bends_too_often() && self.proof.may_step_aside() => {
+                Belief::Unknown
+            }
             Proved::Bent => Belief::LookAgain,
             Proved::Moved(_) | Proved::Nothing => Belief::Unknown,
         }

@@ -1,6 +1,6 @@
 //! How a servo loop ends, and what is known then.
 
-use crate::PoseError;
+use crate::{LimitedBy, PoseError};
 use scopeservo_registration::{NotFound, Rival};
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
@@ -97,4 +97,7 @@ pub struct ServoResult {
     /// Standard deviation of the error's angle, degrees, of the registration.
     #[serde(default)]
     pub sigma_deg: f64,
+    /// After convergence outside the tolerance: what kept the view from coming nearer.
+    #[serde(default)]
+    pub limited_by: Option<LimitedBy>,
 }

@@ -1,5 +1,6 @@
 //! What the loop's state takes from a frame: found and moved away from, lost, or to be looked at again.
 
+use super::convergence::Criteria;
 use super::sight::{Located, Sight};
 use super::state::Servo;
 use crate::event::tell;
@@ -24,13 +25,21 @@ impl Servo {
     }
 
     /// The stage is about to move.
-    pub(crate) fn moving(&mut self, task: &ServoTask<'_>, located: &Located, velocity: &Velocity) {
+    pub(crate) fn moving(
+        &mut self,
+        task: &ServoTask<'_>,
+        test: &Criteria<'_>,
+        located: &Located,
+        velocity: &Velocity,
+    ) {
         let error = &located.pose.error;
         let left_rad = error.theta_rad + velocity.theta_rad;
         let (view, target) = (task.view_calibration, task.target_calibration);
         self.expected.moving(image_angle(left_rad, view, target));
         let error_um = error.t_um();
         self.proof.moving(error_um, velocity.distance_um());
+        let only_nearly = test.only_nearly(error, &located.estimate);
+        self.convergence.nearly += usize::from(only_nearly);
         self.convergence.moving();
     }
 

@@ -36,7 +36,7 @@ impl Servo {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<ServoEnd>, ServoError> {
-        let test = task.criteria(scope);
+        let test = self.convergence.criteria(task, scope);
         self.convergence.rest(&test, scope)?;
         let present = scope.gate().position()?;
         // Camera.
@@ -71,7 +71,7 @@ impl Servo {
             Standing::Inside => {}
             Standing::Outside => {
                 let velocity = task.velocity(&located.pose, test.turns);
-                self.moving(task, &located, &velocity);
+                self.moving(task, &test, &located, &velocity);
                 let goal = sight.goal(&velocity);
                 move_from_one_side(scope, &present, &goal, task.view_calibration)?;
             }

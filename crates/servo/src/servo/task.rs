@@ -2,8 +2,9 @@
 
 use super::convergence::Criteria;
 use super::hand_over::HandOver;
+use crate::hand_eye::pose_sigma;
 use crate::{
-    Calibration, ControlLaw, Expected, FeatureLocalizer, Localizer, Measurement, PoseEstimate,
+    Calibration, ControlLaw, Expected, FeatureLocalizer, Law, Localizer, Measurement, PoseEstimate,
     ServoError, ServoOptions, Target, Velocity, VisionOptions,
 };
 use scopeservo_features::GrayImage;
@@ -31,7 +32,7 @@ pub struct ServoTask<'a> {
     pub localizer: Option<&'a dyn Localizer>,
 }
 
-impl ServoTask<'_> {
+impl<'a> ServoTask<'a> {
     /// Whether this is the target's own objective, where passing the test means arrival.
     pub(crate) fn is_arrival(&self) -> bool {
         self.view_calibration.objective == self.target_calibration.objective
@@ -67,14 +68,31 @@ impl ServoTask<'_> {
     }
 
     /// The convergence test on this instrument.
-    pub(crate) fn criteria(&self, scope: &Instrument) -> Criteria<'_> {
+    pub(crate) fn criteria(&self, scope: &Instrument) -> Criteria<'a> {
         Criteria {
             options: self.options,
             is_arrival: self.is_arrival(),
             turns: scope.gate().info().axis(Axis::Rz).is_some(),
             view_um_per_px: self.view_calibration.um_per_px(),
             target_um_per_px: self.target_calibration.um_per_px(),
+            scatter: self.scatter(scope),
+            nearly: 0,
         }
+    }
+
+    /// How arrivals scatter under direct control, which is told what the stage can: the view's distance from its goal, um, and its angle, deg.
+    fn scatter(&self, scope: &Instrument) -> Option<[f64; 2]> {
+        if self.options.law != Law::Direct {
+            return None;
+        }
+        let (stated, view) = (pose_sigma(scope.gate().info()), self.view_calibration);
+        let seen = view.scatter.unwrap_or_default();
+        let [x, y, turn] = [0, 1, 2].map(|k| stated[k].max(seen[k]));
+        let lever_m = view
+            .rotation_centre_m
+            .map_or(0.0, |[a, b]| f64::hypot(a, b));
+        let distance_m = (x * x + y * y + (lever_m * turn).powi(2)).sqrt();
+        Some([distance_m * 1e6, turn.to_degrees()])
     }
 
     /// The velocity for an error; without a rotation where the stage cannot turn.
