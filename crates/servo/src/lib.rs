@@ -79,6 +79,7 @@ pub use servo::hand_over::HandOver;
 pub use servo::options::{Law, ServoOptions};
 pub use servo::run::ServoRun;
 pub use servo::task::ServoTask;
+pub use servo::watch::Contradiction;
 pub use target::{InFocus, Picture, SaveOptions, SaveTarget, Taken, Target};
 pub use trial::{Drift, drift_seen, scale_seen};
 pub use vision::VisionOptions;

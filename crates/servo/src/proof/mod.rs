@@ -142,7 +142,7 @@ impl Proof {
     /// What was seen so far may have been seen of the dust.
     pub(crate) fn begin_anew(&mut self) {
         self.witnesses.clear();
-        self.unique = false;
+        (self.unique, self.asked) = (false, None);
     }
 
     /// Counts one; `false` when none is left.

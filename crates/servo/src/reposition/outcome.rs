@@ -52,6 +52,8 @@ pub enum Reason {
     Unproven,
     /// The view does not rest.
     Drifting,
+    /// What was seen contradicts what the stage was told to do.
+    Contradicted,
 }
 
 /// What an arrival is limited by.

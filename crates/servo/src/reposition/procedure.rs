@@ -7,11 +7,12 @@ use super::{
 };
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
+use crate::servo::watch::Promise;
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
     Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions,
-    HandOver, Law, Localizer, Phase, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink,
-    Target, VisionOptions,
+    HandOver, Law, Localizer, Phase, PlanarPose, Servo, ServoEnd, ServoError, ServoOptions,
+    ServoTask, Sink, Target, VisionOptions,
 };
 use scopeservo_scope::{Instrument, Objective, ObjectiveId};
 use serde::{Deserialize, Serialize};
@@ -66,6 +67,12 @@ pub struct Reposition {
     #[serde(default)]
     known: BTreeSet<ObjectiveId>,
     done: Vec<MagnificationResult>,
+    /// Where the stage stood when the run began.
+    #[serde(default)]
+    began: Option<PlanarPose>,
+    /// What the last move of the leg before was to do.
+    #[serde(default)]
+    promised: Option<Promise>,
 }
 
 impl Reposition {
@@ -79,6 +86,8 @@ impl Reposition {
             calibrations: BTreeMap::new(),
             known: BTreeSet::new(),
             done: Vec::new(),
+            began: None,
+            promised: None,
         }
     }
 
@@ -181,6 +190,7 @@ impl Reposition {
         target: &Target,
     ) -> Result<Option<Outcome>, ServoError> {
         scope.objective(&target.objective)?;
+        self.began = Some(PlanarPose::from(&scope.gate().position()?));
         let so_far = self.so_far(scope, target);
         let first = self.policy().next(&so_far);
         let engine = self.options.vision.engine.info();
@@ -269,15 +279,30 @@ impl Reposition {
                     return Ok(None);
                 };
                 let seen = servo.seen();
+                self.promised = servo.promised();
                 self.done.push(MagnificationResult {
                     magnification: scope.objective(leg.objective())?.magnification,
                     calibration: task.view_calibration.clone(),
                     objective: leg.objective().clone(),
                     end: end.clone(),
                 });
+                self.go_back(scope, &end)?;
                 Ok(self.servoed(scope, &target, &end, seen))
             }
         }
+    }
+
+    /// What contradicts the stage's moves ends where the run began, on axes that were seen to obey; else the stage stands still.
+    fn go_back(&self, scope: &Instrument, end: &ServoEnd) -> Result<(), ServoError> {
+        let (Some(began), ServoEnd::Contradicted { why, .. }) = (self.began, end) else {
+            return Ok(());
+        };
+        if why.leaves_standing() {
+            return Ok(());
+        }
+        let present = scope.gate().position()?;
+        scope.move_to(&began.request(&present))?;
+        Ok(())
     }
 
     /// The objective is active and in focus.
@@ -304,7 +329,7 @@ impl Reposition {
 
     fn servo(&mut self, scope: &Instrument, sink: &mut dyn Sink, leg: Leg) {
         self.enter(scope, sink, Phase::Servo, &leg);
-        let work = Work::Servo(Box::default());
+        let work = Work::Servo(Box::new(Servo::after(self.promised.take())));
         self.state = State::Under { leg, work };
     }
 

@@ -1,6 +1,6 @@
 //! How a servo loop ends, and what is known then.
 
-use crate::{LimitedBy, PoseError};
+use crate::{Contradiction, LimitedBy, PoseError};
 use scopeservo_registration::{NotFound, Rival};
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
@@ -18,6 +18,13 @@ pub enum ServoEnd {
         /// Within this of its goal, um: three standard deviations.
         lands_within_um: f64,
         /// The last error, before that move.
+        last: ServoResult,
+    },
+    /// What was seen after the last moves contradicts what they were to do.
+    Contradicted {
+        /// Why, as far as it shows.
+        why: Contradiction,
+        /// The last error.
         last: ServoResult,
     },
     /// The target is not in the view.
@@ -57,7 +64,7 @@ impl ServoEnd {
             | Self::IterationLimit(r)
             | Self::Diverged(r)
             | Self::Drifting { last: r, .. } => Some(r),
-            Self::HandedOver { last, .. } => Some(last),
+            Self::HandedOver { last, .. } | Self::Contradicted { last, .. } => Some(last),
             // What is not known to be the specimen says nothing of its distance.
             Self::Lost(_)
             | Self::Ambiguous { .. }
@@ -71,6 +78,7 @@ impl ServoEnd {
         match self {
             Self::Converged(_) => "converged",
             Self::HandedOver { .. } => "handed_over",
+            Self::Contradicted { .. } => "contradicted",
             Self::Lost(_) => "lost",
             Self::IterationLimit(_) => "iteration_limit",
             Self::Diverged(_) => "diverged",

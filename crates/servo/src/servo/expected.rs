@@ -46,7 +46,7 @@ impl Expected {
 
     /// The view is about to be moved, and then has this angle.
     pub(crate) fn moving(&mut self, angle_rad: Option<f64>) {
-        self.angle_rad = angle_rad;
+        (self.angle_rad, self.lost_in_a_row) = (angle_rad, 0);
     }
 
     /// Takes a lost frame; tells how many there were in a row.

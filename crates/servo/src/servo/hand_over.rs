@@ -111,6 +111,8 @@ impl Servo {
         };
         let last = self.convergence.result(sight.measured(located, task));
         let goal = sight.goal(&velocity);
+        let change_m = over.change_m;
+        self.promise(task, scope, (sight, located), &goal, change_m);
         move_from_one_side(scope, &sight.present, &goal, task.view_calibration)?;
         Ok(Some(ServoEnd::HandedOver {
             to: over.to.clone(),

@@ -14,6 +14,7 @@ pub(crate) mod run;
 mod sight;
 mod state;
 pub(crate) mod task;
+pub(crate) mod watch;
 
 use crate::one_side::move_from_one_side;
 use crate::vision::grab;
@@ -46,13 +47,17 @@ impl Servo {
         let prior = self.expected.prior(task);
         let sight = match Sight::of(&view, task, scope, prior, present, &self.proof.fixed)? {
             Ok(sight) => self.found(sight),
-            Err(reason) => return Ok(self.lost(task, scope, sink, view.sequence, &reason)),
+            Err(reason) => return self.lost(task, scope, sink, view.sequence, &reason),
         };
         // Control: Eq. (22).
         let passes = test.passes(&sight.located.pose.error, &sight.located.estimate);
         let velocity = task.velocity(&sight.located.pose, test.turns);
         let event = sight.event(task, self.convergence.iteration, velocity, passes);
         tell(scope, sink, event);
+        // Did the last move do what it was to do?
+        if let Some(end) = self.contradicted(task, scope, &sight) {
+            return Ok(Progress::Done(end));
+        }
         // Is it the specimen, and the only place that looks like this?
         let (located, passes) = match self.believe(task, &test, &sight, passes) {
             Belief::Of(located, passes) => (located, passes),
@@ -71,8 +76,9 @@ impl Servo {
             Standing::Inside => {}
             Standing::Outside => {
                 let velocity = task.velocity(&located.pose, test.turns);
-                self.moving(task, &test, &located, &velocity);
+                let velocity = self.watch.limited(velocity, task.view_calibration);
                 let goal = sight.goal(&velocity);
+                self.moving(task, scope, &test, (&sight, &located), (&velocity, &goal));
                 move_from_one_side(scope, &present, &goal, task.view_calibration)?;
             }
         }

@@ -2,6 +2,7 @@
 
 use super::convergence::Criteria;
 use super::hand_over::HandOver;
+use super::watch::Mover;
 use crate::hand_eye::pose_sigma;
 use crate::{
     Calibration, ControlLaw, Expected, FeatureLocalizer, Law, Localizer, Measurement, PoseEstimate,
@@ -77,6 +78,16 @@ impl<'a> ServoTask<'a> {
             target_um_per_px: self.target_calibration.um_per_px(),
             scatter: self.scatter(scope),
             nearly: 0,
+        }
+    }
+
+    /// What is known of the moves.
+    pub(crate) fn mover(&self, scope: &Instrument) -> Mover<'_> {
+        let info = scope.gate().info();
+        Mover {
+            kinematics: info.kinematics,
+            view: self.view_calibration,
+            scatter: self.view_calibration.pose_sigma(pose_sigma(info)),
         }
     }
 
