@@ -63,14 +63,14 @@ pub use hand_eye::{Observation, solve_hand_eye};
 pub use identify::Identify;
 pub use identity::Identity;
 pub use kinematics::{Motion2, PlanarPose, motion_between, pose_after};
-pub use law::{ControlLaw, Proportional, Velocity, control_law, motion_of};
+pub use law::{ControlLaw, Direct, Proportional, Velocity, control_law, motion_of};
 pub use localize::{Expected, FeatureLocalizer, Localizer, Measurement};
 pub use pose::{PoseError, PoseEstimate, pose_error, pose_estimate};
 pub use procedure::{Procedure, Progress, run};
 pub use proof::FixedPlaces;
 pub use reposition::{
-    Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Reposition, RepositionOptions,
-    SoFar, Verdict,
+    Ladder, Leg, LegPolicy, LimitedBy, MagnificationResult, Outcome, Reason, Reposition,
+    RepositionOptions, Shortest, SoFar, Verdict,
 };
 pub use self_test::{
     Broken, Change, Changing, SelfTest, SelfTestReport, SelfTestVerdict, Together, changes_between,
@@ -78,9 +78,11 @@ pub use self_test::{
 };
 pub use servo::Servo;
 pub use servo::end::{ServoEnd, ServoResult};
+pub use servo::hand_over::HandOver;
 pub use servo::options::{Law, ServoOptions};
 pub use servo::run::ServoRun;
 pub use servo::task::ServoTask;
+pub use servo::watch::Contradiction;
 pub use switching::{FocusSwitch, Switching, SwitchingOptions, SwitchingReport};
 pub use target::{InFocus, Picture, SaveOptions, SaveTarget, Taken, Target};
 pub use trial::{Drift, drift_seen, scale_seen};

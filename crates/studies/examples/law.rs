@@ -74,6 +74,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             vision: &vision,
             options: &options,
             law: None,
+            hand_overs: &[],
             localizer: None,
         };
         let (mut servo, mut errors) = (Servo::default(), Errors::default());

@@ -1,6 +1,7 @@
 //! What is asked of an instrument: to move, focus, calibrate and come back.
 
 use super::common::{AnswerArgs, ConfigArgs, FocusingArgs, InstrumentArgs, ReportArgs};
+use super::moving::MovingArgs;
 use clap::{Args, Subcommand};
 use scopeservo_servo::CalibrationMethod;
 
@@ -197,7 +198,8 @@ pub(crate) struct PlaceArgs {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   scopeservo reposition mitosis-3
-  scopeservo reposition mitosis-3 --lambda 0.7 --out run --json
+  scopeservo reposition mitosis-3 --out run --json
+  scopeservo reposition mitosis-3 --method paper   a fifth of the way at a time, at every magnification
   scopeservo reposition mitosis-3 --calibrate      measure the objectives anew on the way")]
 pub(crate) struct RepositionArgs {
     /// The target's name.
@@ -207,17 +209,8 @@ pub(crate) struct RepositionArgs {
     /// Calibrate each objective on the way, also those that are calibrated.
     #[arg(long)]
     pub(crate) calibrate: bool,
-    /// Gain: the share of the error that one iteration takes away, above 0 up to 1.
-    #[arg(
-        long,
-        value_name = "F",
-        default_value_t = 0.2,
-        allow_negative_numbers = true
-    )]
-    pub(crate) lambda: f64,
-    /// Iterations at each magnification, at most.
-    #[arg(long, value_name = "N", default_value_t = 64)]
-    pub(crate) max_iterations: usize,
+    #[command(flatten)]
+    pub(crate) moving: MovingArgs,
     #[command(flatten)]
     pub(crate) focusing: FocusingArgs,
     #[command(flatten)]

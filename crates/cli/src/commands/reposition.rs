@@ -3,7 +3,6 @@
 use super::known_calibrations;
 use crate::answer::Answer;
 use crate::args::RepositionArgs;
-use crate::demo::check_servo;
 use crate::error::{CliError, Code};
 use crate::journal::Asked;
 use crate::open_instrument::{OpenInstrument, Ran};
@@ -23,7 +22,7 @@ use std::path::Path;
 use std::time::Instant;
 
 pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool, CliError> {
-    check_servo(args.lambda, args.max_iterations)?;
+    let servo = args.moving.options()?;
     let focus = args.focusing.options()?;
     // What can be wrong without the instrument is found before it is touched.
     let config = Config::read(&args.instrument.description.config)?;
@@ -35,11 +34,6 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
     try_out(&args.report.out)?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let servo = ServoOptions {
-        lambda: args.lambda,
-        max_iterations: args.max_iterations,
-        ..ServoOptions::default()
-    };
     let input = RepositionInput {
         target_id: kept.id.clone(),
         options: RepositionOptions {
@@ -112,6 +106,7 @@ fn show(
         "target": name,
         "estimated_error_um": outcome.estimated_error_um,
         "estimated_error_deg": outcome.estimated_error_deg,
+        "limited_by": outcome.limited_by,
         "unique_within_um": outcome.unique_within_um,
         "moves": counters.moves,
         "frames": counters.frames,

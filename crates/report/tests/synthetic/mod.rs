@@ -339,6 +339,7 @@ impl Teller {
             iteration += 1;
             if passed == 2 {
                 let result = ServoResult {
+                    limited_by: None,
                     iterations: iteration,
                     inliers: 240,
                     error,
@@ -397,6 +398,7 @@ impl Teller {
             estimated_error_um: last
                 .as_ref()
                 .map(|r| r.error.distance_um().hypot(r.sigma_um)),
+            limited_by: None,
             estimated_error_deg: last.as_ref().map(|r| r.error.angle_deg().abs()),
             unique_within_um: None,
             magnifications: self.results.clone(),

@@ -1,6 +1,7 @@
 //! Which objective comes next.
 
 use super::MagnificationResult;
+use crate::ServoEnd;
 use scopeservo_scope::{Immersion, Objective, ObjectiveId};
 use serde::{Deserialize, Serialize};
 
@@ -111,6 +112,44 @@ fn widened_at(so_far: &SoFar<'_>) -> Option<usize> {
     let [wider, _] = rungs(so_far);
     let lowest = wider.first()?;
     so_far.done.iter().position(|d| d.objective == lowest.id)
+}
+
+/// Direct control: from the lowest magnification to whichever took over, the target's own if possible. What was handed over and is not seen there is
+/// looked for once with the objectives that were passed over.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Shortest;
+
+impl LegPolicy for Shortest {
+    fn next(&self, so_far: &SoFar<'_>) -> Option<Leg> {
+        let rungs = self.outlook(so_far);
+        if so_far.done.is_empty() && rungs.len() > 1 && !so_far.target_is_calibrated {
+            return Some(Leg::Calibrate(so_far.target.clone()));
+        }
+        let done = &so_far.done[widened_at(so_far).unwrap_or(0)..];
+        let Some(last) = done.last() else {
+            return rungs.first().cloned().map(Leg::Servo);
+        };
+        let at = rungs.iter().position(|id| *id == last.objective)?;
+        let untried = |id: &&ObjectiveId| done.iter().all(|d| d.objective != **id);
+        let next = match &last.end {
+            ServoEnd::HandedOver { to, .. } => Some(to),
+            // The highest of those that were passed over is the nearest to what was known.
+            ServoEnd::Lost(_) => {
+                let passed = rungs[..at].iter().rev().find(untried);
+                passed.or(rungs.get(at + 1).filter(untried))
+            }
+            _ => rungs.get(at + 1),
+        };
+        next.cloned().map(Leg::Servo)
+    }
+
+    fn outlook(&self, so_far: &SoFar<'_>) -> Vec<ObjectiveId> {
+        Ladder.outlook(so_far)
+    }
+
+    fn wider(&self, so_far: &SoFar<'_>) -> Option<Leg> {
+        Ladder.wider(so_far)
+    }
 }
 
 #[cfg(test)]

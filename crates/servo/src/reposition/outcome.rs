@@ -52,6 +52,18 @@ pub enum Reason {
     Unproven,
     /// The view does not rest.
     Drifting,
+    /// What was seen contradicts what the stage was told to do.
+    Contradicted,
+}
+
+/// What an arrival is limited by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LimitedBy {
+    /// How well the stage comes back to a place.
+    Repeatability,
+    /// How well the images tell.
+    Measurement,
 }
 
 /// What happened at one magnification.
@@ -80,6 +92,9 @@ pub struct Outcome {
     pub estimated_error_um: Option<f64>,
     /// Last measured angle, degrees.
     pub estimated_error_deg: Option<f64>,
+    /// What kept the view from coming nearer than it did, where that is not within the tolerance.
+    #[serde(default)]
+    pub limited_by: Option<LimitedBy>,
     /// Width and height of the widest view, um on the specimen: what looks the same farther away could not be seen.
     #[serde(default)]
     pub unique_within_um: Option<[f64; 2]>,

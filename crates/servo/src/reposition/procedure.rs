@@ -1,14 +1,17 @@
 //! The run as a step machine.
 
-use super::{Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, SoFar, Verdict};
-use super::{parcentric, words};
+use super::{
+    Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Shortest, SoFar, Verdict,
+};
+use super::{ahead, parcentric, words};
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
+use crate::servo::watch::Promise;
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
-    Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions,
-    Localizer, Phase, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink, SwitchingReport,
-    Target, VisionOptions,
+    Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions, Law,
+    Localizer, Phase, PlanarPose, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink,
+    SwitchingReport, Target, VisionOptions,
 };
 use scopeservo_scope::{Immersion, Instrument, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
@@ -69,6 +72,12 @@ pub struct Reposition {
     #[serde(default)]
     immersion: Option<Immersion>,
     done: Vec<MagnificationResult>,
+    /// Where the stage stood when the run began.
+    #[serde(default)]
+    began: Option<PlanarPose>,
+    /// What the last move of the leg before was to do.
+    #[serde(default)]
+    promised: Option<Promise>,
 }
 
 impl Reposition {
@@ -84,6 +93,8 @@ impl Reposition {
             switchings: Vec::new(),
             immersion: None,
             done: Vec::new(),
+            began: None,
+            promised: None,
         }
     }
 
@@ -152,6 +163,13 @@ impl Reposition {
         made.filter(|(objective, _)| !self.known.contains(*objective))
     }
 
+    fn policy(&self) -> &dyn LegPolicy {
+        match self.options.servo.law {
+            Law::Direct => &Shortest,
+            Law::Proportional => &Ladder,
+        }
+    }
+
     /// What the policy goes by.
     fn so_far<'a>(&'a self, scope: &'a Instrument, target: &'a Target) -> SoFar<'a> {
         SoFar {
@@ -188,11 +206,12 @@ impl Reposition {
         scope.objective(&target.objective)?;
         let media = scope.gate().immersions()?;
         self.immersion = media.first().copied().filter(|_| media.len() == 1);
+        self.began = Some(PlanarPose::from(&scope.gate().position()?));
         let so_far = self.so_far(scope, target);
-        let first = Ladder.next(&so_far);
+        let first = self.policy().next(&so_far);
         let engine = self.options.vision.engine.info();
         let event = Event::Started {
-            objectives: Ladder.outlook(&so_far),
+            objectives: self.policy().outlook(&so_far),
             target_objective: target.objective.clone(),
             engine: engine.name,
             cpu_level: engine.cpu_level,
@@ -219,6 +238,11 @@ impl Reposition {
         sink: &mut dyn Sink,
     ) -> Result<Option<Outcome>, ServoError> {
         let target = self.prepared()?;
+        // Under direct control all objectives after this one may take over.
+        let above = match self.options.servo.law {
+            Law::Direct => self.policy().outlook(&self.so_far(scope, &target)),
+            Law::Proportional => Vec::new(),
+        };
         // After the last leg's calibration K_t is the newer of its two measurements.
         let target_calibration = self.target_calibration(&target);
         let (leg, work) = match &mut self.state {
@@ -256,10 +280,19 @@ impl Reposition {
                     ServoError::CannotGoOn("a stored run lacks a calibration; start it anew".into())
                 };
                 let here = self.calibrations.get(leg.objective());
+                let here = here.ok_or_else(missing)?;
+                let at_target = target_calibration.as_ref().ok_or_else(missing)?;
+                let hand_overs = ahead::hand_overs(
+                    scope,
+                    &above,
+                    (&self.calibrations, &self.switchings),
+                    (here, at_target),
+                );
                 let task = ServoTask {
                     target: &target,
-                    view_calibration: here.ok_or_else(missing)?,
-                    target_calibration: target_calibration.as_ref().ok_or_else(missing)?,
+                    view_calibration: here,
+                    target_calibration: at_target,
+                    hand_overs: &hand_overs,
                     vision: &self.options.vision,
                     options: &self.options.servo,
                     law: None,
@@ -269,15 +302,30 @@ impl Reposition {
                     return Ok(None);
                 };
                 let seen = servo.seen();
+                self.promised = servo.promised();
                 self.done.push(MagnificationResult {
                     magnification: scope.objective(leg.objective())?.magnification,
                     calibration: task.view_calibration.clone(),
                     objective: leg.objective().clone(),
                     end: end.clone(),
                 });
+                self.go_back(scope, &end)?;
                 Ok(self.servoed(scope, &target, &end, seen))
             }
         }
+    }
+
+    /// What contradicts the stage's moves ends where the run began, on axes that were seen to obey; else the stage stands still.
+    fn go_back(&self, scope: &Instrument, end: &ServoEnd) -> Result<(), ServoError> {
+        let (Some(began), ServoEnd::Contradicted { why, .. }) = (self.began, end) else {
+            return Ok(());
+        };
+        if why.leaves_standing() {
+            return Ok(());
+        }
+        let present = scope.gate().position()?;
+        scope.move_to(&began.request(&present))?;
+        Ok(())
     }
 
     /// The objective is active and in focus.
@@ -317,7 +365,7 @@ impl Reposition {
 
     fn servo(&mut self, scope: &Instrument, sink: &mut dyn Sink, leg: Leg) {
         self.enter(scope, sink, Phase::Servo, &leg);
-        let work = Work::Servo(Box::default());
+        let work = Work::Servo(Box::new(Servo::after(self.promised.take())));
         self.state = State::Under { leg, work };
     }
 
@@ -333,7 +381,7 @@ impl Reposition {
         match leg {
             Leg::Servo(_) => self.servo(scope, sink, leg),
             Leg::Calibrate(_) => {
-                if let Some(next) = Ladder.next(&self.so_far(scope, target)) {
+                if let Some(next) = self.policy().next(&self.so_far(scope, target)) {
                     self.bring(next);
                 }
             }
@@ -349,10 +397,13 @@ impl Reposition {
         seen: bool,
     ) -> Option<Outcome> {
         let so_far = self.so_far(scope, target);
+        let next = || self.policy().next(&so_far);
+        let handed_over = |d: &MagnificationResult| matches!(d.end, ServoEnd::HandedOver { .. });
         let next = match end {
-            ServoEnd::Converged(_) => Ladder.next(&so_far),
-            ServoEnd::Lost(_) if seen => Ladder.next(&so_far),
-            ServoEnd::Lost(_) => Ladder.wider(&so_far),
+            ServoEnd::Converged(_) | ServoEnd::HandedOver { .. } => next(),
+            // What was handed over and is not there may be seen by the objective in between.
+            ServoEnd::Lost(_) if seen || self.done.iter().any(handed_over) => next(),
+            ServoEnd::Lost(_) => self.policy().wider(&so_far),
             _ => None,
         };
         match next {
@@ -381,6 +432,7 @@ impl Reposition {
             message,
             estimated_error_um: last.map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
             estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
+            limited_by: last.and_then(|r| r.limited_by),
             unique_within_um: self.done.iter().map(view_um).max_by(wider),
             magnifications: self.done.clone(),
         }
