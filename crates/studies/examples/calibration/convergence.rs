@@ -4,7 +4,7 @@ use crate::instrument::{Bench, Design};
 use crate::specimens::Specimens;
 use scopeservo_geometry::Mat2;
 use scopeservo_servo::{
-    CALIBRATION_SCHEMA, Calibration, NoSink, Progress, Servo, ServoOptions, ServoTask, Target,
+    CALIBRATION_SCHEMA, Calibration, Law, NoSink, Progress, Servo, ServoOptions, ServoTask, Target,
     VisionOptions,
 };
 use scopeservo_studies::page::{Page, Plot};
@@ -125,7 +125,12 @@ pub(crate) fn tried(index: u64, specimens: &Specimens) -> Outcome<Cell> {
 }
 
 fn run(bench: &Bench, errors: [f64; 5], [x, y, turn_deg]: [f64; 3]) -> Outcome<Run> {
-    let (vision, options) = (VisionOptions::default(), ServoOptions::default());
+    // The paper's range is that of its law.
+    let options = ServoOptions {
+        law: Law::Proportional,
+        ..ServoOptions::default()
+    };
+    let vision = VisionOptions::default();
     let target = Target::save(&bench.scope, &vision, &mut NoSink)?;
     let saved = bench.twin.truth_now();
     let calibration = wrong(bench, errors)?;
@@ -142,6 +147,7 @@ fn run(bench: &Bench, errors: [f64; 5], [x, y, turn_deg]: [f64; 3]) -> Outcome<R
         vision: &vision,
         options: &options,
         law: None,
+        hand_overs: &[],
         localizer: None,
     };
     let mut servo = Servo::default();
