@@ -5,7 +5,7 @@ use super::{
 };
 mod ending;
 
-use super::{ahead, parcentric};
+use super::{ahead, parcentric, words};
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
 use crate::servo::watch::Promise;
@@ -15,7 +15,7 @@ use crate::{
     Localizer, Phase, PlanarPose, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink,
     SwitchingReport, Target, VisionOptions,
 };
-use scopeservo_scope::{Immersion, Instrument, ObjectiveId, ScopeError};
+use scopeservo_scope::{Immersion, Instrument, ObjectiveId};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};

@@ -2,7 +2,7 @@
 
 use super::super::{MagnificationResult, Outcome, Reason, Verdict, words};
 use super::Reposition;
-use crate::{Calibration, ServoEnd, ServoError, Target};
+use crate::{ServoEnd, ServoError, Target};
 use scopeservo_scope::{Instrument, ScopeError};
 
 impl Reposition {
