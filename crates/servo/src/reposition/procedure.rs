@@ -350,7 +350,12 @@ impl Reposition {
             let um_per_px = own.map_or(nominal, Calibration::um_per_px);
             parcentric::keep_centre(scope, offset_um, um_per_px)?;
         }
-        if matches!(&leg, Leg::Servo(objective) if self.known.contains(objective)) {
+        // The paper calibrates the target's objective again for the last leg, so that its error cancels; a joint calibration has none to speak of.
+        let known = |objective: &ObjectiveId| match self.options.servo.law {
+            Law::Direct => self.calibrations.contains_key(objective),
+            Law::Proportional => self.known.contains(objective),
+        };
+        if matches!(&leg, Leg::Servo(objective) if known(objective)) {
             self.servo(scope, sink, leg);
             return Ok(());
         }
