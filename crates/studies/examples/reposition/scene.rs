@@ -66,7 +66,7 @@ pub(crate) fn draw(index: u64) -> Scene {
         k => SLIDES[k - 1].2,
     };
     let target_um = [within(half_um), within(half_um)];
-    let start_um = INSIDE_UM.map(|half| within(half));
+    let start_um = INSIDE_UM.map(&mut within);
     let turn_deg = match kind {
         Kind::Hexapod => within(6.0),
         Kind::Turntable => within(175.0),
@@ -79,7 +79,11 @@ pub(crate) fn draw(index: u64) -> Scene {
         start_um,
         turn_deg,
         noise: 0.0025 * f64::powf(4.0, 0.5 + 0.5 * within(1.0)),
-        begins_with: if index / 24 % 2 == 0 { "40x" } else { "10x" },
+        begins_with: if (index / 24).is_multiple_of(2) {
+            "40x"
+        } else {
+            "10x"
+        },
     }
 }
 
