@@ -69,20 +69,20 @@ pub use pose::{PoseError, PoseEstimate, pose_error, pose_estimate};
 pub use procedure::{Procedure, Progress, run};
 pub use proof::FixedPlaces;
 pub use reposition::{
-    Ladder, Leg, LegPolicy, LimitedBy, MagnificationResult, Outcome, Reason, Reposition,
-    RepositionOptions, Shortest, SoFar, Verdict,
+    Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Reposition, RepositionOptions,
+    Shortest, SoFar, Verdict,
 };
 pub use self_test::{
     Broken, Change, Changing, SelfTest, SelfTestReport, SelfTestVerdict, Together, changes_between,
     together,
 };
 pub use servo::Servo;
-pub use servo::end::{ServoEnd, ServoResult};
+pub use servo::contradiction::Contradiction;
+pub use servo::end::{LimitedBy, ServoEnd, ServoResult};
 pub use servo::hand_over::HandOver;
 pub use servo::options::{Law, ServoOptions};
 pub use servo::run::ServoRun;
 pub use servo::task::ServoTask;
-pub use servo::watch::Contradiction;
 pub use switching::{FocusSwitch, Switching, SwitchingOptions, SwitchingReport};
 pub use target::{InFocus, Picture, SaveOptions, SaveTarget, Taken, Target};
 pub use trial::{Drift, drift_seen, scale_seen};

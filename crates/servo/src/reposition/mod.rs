@@ -8,5 +8,5 @@ mod procedure;
 mod words;
 
 pub use ladder::{Ladder, Leg, LegPolicy, Shortest, SoFar};
-pub use outcome::{LimitedBy, MagnificationResult, Outcome, Reason, Verdict};
+pub use outcome::{MagnificationResult, Outcome, Reason, Verdict};
 pub use procedure::{Reposition, RepositionOptions};

@@ -1,6 +1,6 @@
 //! The answer of a run.
 
-use crate::{Calibration, ErrorCode, ServoEnd, ServoError};
+use crate::{Calibration, ErrorCode, LimitedBy, ServoEnd, ServoError};
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 
@@ -54,16 +54,6 @@ pub enum Reason {
     Drifting,
     /// What was seen contradicts what the stage was told to do.
     Contradicted,
-}
-
-/// What an arrival is limited by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum LimitedBy {
-    /// How well the stage comes back to a place.
-    Repeatability,
-    /// How well the images tell.
-    Measurement,
 }
 
 /// What happened at one magnification.

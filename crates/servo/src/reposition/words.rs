@@ -1,9 +1,9 @@
 //! The end of a run in words.
 
-use super::{LimitedBy, Reason, Verdict};
+use super::{Reason, Verdict};
 use crate::target::MIN_TARGET_FEATURES;
 use crate::words::rival_in_words;
-use crate::{Contradiction, ServoEnd, ServoResult};
+use crate::{Contradiction, LimitedBy, ServoEnd, ServoResult};
 
 /// The answer that the end of the last loop means, at the magnification `at`. `seen_below`: the target was seen at a lower one.
 pub(super) fn answer_of(

@@ -1,7 +1,7 @@
 //! The convergence test: when a loop has arrived, and when it gives up.
 
 use crate::proof::Drift;
-use crate::{LimitedBy, PoseError, ServoEnd, ServoError, ServoOptions, ServoResult, ServoTask};
+use crate::{LimitedBy, PoseError, ServoEnd, ServoError, ServoOptions, ServoResult};
 use scopeservo_registration::{Estimate, NotFound};
 use scopeservo_scope::Instrument;
 use serde::{Deserialize, Serialize};
@@ -164,14 +164,6 @@ impl Convergence {
     /// Whether the target was seen at all.
     pub(crate) fn seen(&self) -> bool {
         self.first.is_some()
-    }
-
-    /// The test for the next frame.
-    pub(crate) fn criteria<'a>(&self, task: &ServoTask<'a>, scope: &Instrument) -> Criteria<'a> {
-        Criteria {
-            nearly: self.nearly,
-            ..task.criteria(scope)
-        }
     }
 
     /// Waits until the next frame may confirm the last one: what drifts is seen to.

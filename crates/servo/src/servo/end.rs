@@ -1,6 +1,6 @@
 //! How a servo loop ends, and what is known then.
 
-use crate::{Contradiction, LimitedBy, PoseError};
+use crate::{Contradiction, PoseError};
 use scopeservo_registration::{NotFound, Rival};
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
@@ -88,6 +88,16 @@ impl ServoEnd {
             Self::Drifting { .. } => "drifting",
         }
     }
+}
+
+/// What an arrival is limited by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LimitedBy {
+    /// How well the stage comes back to a place.
+    Repeatability,
+    /// How well the images tell.
+    Measurement,
 }
 
 /// The last error and how well it is known.

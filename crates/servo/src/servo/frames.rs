@@ -70,7 +70,7 @@ impl Servo {
         change_m: f64,
     ) {
         let way = (sight.station.pose, PlanarPose::from(goal));
-        let promise = Promise::of(located, way, &task.mover(scope), change_m);
+        let promise = Promise::of(&located.pose, way, &task.mover(scope), change_m);
         self.watch.promise = Some(promise);
     }
 

@@ -4,6 +4,7 @@
 //! claimed by the image, on places that were seen to move with the specimen (`belief.rs`), and by frames far enough apart to see it drift.
 
 mod belief;
+pub(crate) mod contradiction;
 mod convergence;
 pub(crate) mod end;
 mod expected;
@@ -13,6 +14,7 @@ pub(crate) mod options;
 pub(crate) mod run;
 mod sight;
 mod state;
+mod take_over;
 pub(crate) mod task;
 pub(crate) mod watch;
 
@@ -20,7 +22,7 @@ use crate::one_side::move_from_one_side;
 use crate::vision::grab;
 use crate::{FrameRole, Progress, ServoEnd, ServoError, ServoTask, Sink, event::tell};
 use belief::Belief;
-use convergence::Standing;
+use convergence::{Criteria, Standing};
 use scopeservo_scope::Instrument;
 use sight::{Sight, View};
 
@@ -37,7 +39,10 @@ impl Servo {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<ServoEnd>, ServoError> {
-        let test = self.convergence.criteria(task, scope);
+        let test = Criteria {
+            nearly: self.convergence.nearly,
+            ..task.criteria(scope)
+        };
         self.convergence.rest(&test, scope)?;
         let present = scope.gate().position()?;
         // Camera.

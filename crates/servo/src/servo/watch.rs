@@ -1,8 +1,9 @@
 //! The camera as an encoder: what a move was to do, against what the next frame shows of it.
 
-use super::sight::Located;
 use crate::law::error_after;
-use crate::{Calibration, PlanarPose, PoseError, PoseEstimate, Velocity, motion_between};
+use crate::{
+    Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity, motion_between,
+};
 use scopeservo_geometry::{Mat2, Vec2};
 use scopeservo_scope::{Axis, Kinematics};
 use serde::{Deserialize, Serialize};
@@ -16,42 +17,6 @@ const DRIFTED_SHARE: f64 = 0.17;
 const DRIFTED_CENTRE_M: f64 = 9.1e-3;
 /// A cause explains what was seen when it leaves this share of the move, besides what is uncertain.
 const LEAVES: f64 = 0.08;
-
-/// Why a view is not where a move was to bring it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Contradiction {
-    /// Nothing moved, or the image does not change.
-    NothingMoved,
-    /// One axis stood while the others moved.
-    AxisStands(Axis),
-    /// One axis went the other way.
-    AxisReversed(Axis),
-    /// The plane went the other way: the camera is turned by 180 degrees, or both signs are wrong.
-    Reversed,
-    /// x went as y was told, and y as x.
-    Swapped,
-    /// All went by this share of what was asked.
-    Share(f64),
-    /// The view is somewhere else: steps were lost, the slide slipped, or something was moved by hand.
-    Elsewhere,
-}
-
-impl Contradiction {
-    /// Whether an axis did not move that was told to: nobody knows what it does next.
-    pub(crate) fn leaves_standing(self) -> bool {
-        matches!(self, Self::NothingMoved | Self::AxisStands(_))
-    }
-
-    /// How much it says.
-    fn says(self) -> u8 {
-        match self {
-            Self::Elsewhere => 0,
-            Self::NothingMoved => 1,
-            _ => 2,
-        }
-    }
-}
 
 /// What is known of an instrument's moves.
 #[derive(Debug, Clone, Copy)]
@@ -89,12 +54,12 @@ pub(crate) enum Kept {
 impl Promise {
     /// Of a move from a frame that was understood.
     pub(crate) fn of(
-        located: &Located,
+        seen: &PoseEstimate,
         (before, goal): (PlanarPose, PlanarPose),
         mover: &Mover<'_>,
         change_m: f64,
     ) -> Self {
-        let from = located.pose.error;
+        let from = seen.error;
         let turned_rad = goal.theta_rad - before.theta_rad;
         let way_m = f64::hypot(from.t_m[0], from.t_m[1]);
         let [x, y, turn] = mover.scatter;
@@ -102,7 +67,7 @@ impl Promise {
         let lever_m = f64::hypot(eta[0], eta[1]);
         let arrival_sq = x * x + y * y + (lever_m * turn).powi(2);
         let known_m = mover.view.move_sigma_m(way_m, turned_rad).unwrap_or(0.0);
-        let [a, b, angle] = located.pose.sigma();
+        let [a, b, angle] = seen.sigma();
         Self {
             before,
             goal,
