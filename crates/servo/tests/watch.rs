@@ -145,6 +145,26 @@ fn moves_that_the_image_contradicts_stop_the_run_and_are_named() {
     assert_eq!(outcome.reason, Reason::NothingMoves, "{}", outcome.message);
 }
 
+/// A calibration by two steps, or of an earlier version, does not know it.
+#[test]
+fn play_that_no_calibration_knows_is_not_taken_for_an_axis_that_stands() {
+    let mut unaware = calibration();
+    unaware.backlash = None;
+    for play_um in [5.0, 20.0] {
+        let with_play = |twin: &Twin| {
+            for axis in [Axis::X, Axis::Y] {
+                let si = play_um * 1e-6;
+                twin.fault(StageFault::Backlash { axis, si });
+            }
+        };
+        let (outcome, (um, deg), _) = come_back(&unaware, with_play);
+        assert_eq!(why(&outcome), None, "{play_um}: {}", outcome.message);
+        if outcome.verdict == Verdict::Arrived {
+            assert!(um < 1.0 && deg < 0.02, "{play_um}: {um} {deg}");
+        }
+    }
+}
+
 #[test]
 fn a_push_by_hand_or_lost_steps_are_made_up_for_and_never_taken_for_arrival() {
     let good = calibration();

@@ -7,7 +7,9 @@ use super::watch::{Kept, Promise, Watch};
 use crate::event::tell;
 use crate::one_side::move_from_one_side;
 use crate::pose::image_angle;
-use crate::{Event, PlanarPose, Progress, ServoEnd, ServoError, ServoTask, Sink, Velocity};
+use crate::{
+    Event, PlanarPose, PoseEstimate, Progress, ServoEnd, ServoError, ServoTask, Sink, Velocity,
+};
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Instrument, StagePose};
 
@@ -48,7 +50,7 @@ impl Servo {
         (sight, located): (&Sight<'_>, &Located),
         (velocity, goal): (&Velocity, &StagePose),
     ) {
-        self.promise(task, scope, (sight, located), goal, 0.0);
+        self.promise(task, scope, (sight, &located.pose), goal, 0.0);
         let error = &located.pose.error;
         let left_rad = error.theta_rad + velocity.theta_rad;
         let (view, target) = (task.view_calibration, task.target_calibration);
@@ -65,12 +67,12 @@ impl Servo {
         &mut self,
         task: &ServoTask<'_>,
         scope: &Instrument,
-        (sight, located): (&Sight<'_>, &Located),
+        (sight, seen): (&Sight<'_>, &PoseEstimate),
         goal: &StagePose,
         change_m: f64,
     ) {
         let way = (sight.station.pose, PlanarPose::from(goal));
-        let promise = Promise::of(&located.pose, way, &task.mover(scope), change_m);
+        let promise = Promise::of(seen, way, &task.mover(scope), change_m);
         self.watch.promise = Some(promise);
     }
 

@@ -19,7 +19,9 @@ const BESIDE_PX: f64 = 30.0;
 pub struct HandOver {
     /// The objective.
     pub to: ObjectiveId,
-    /// Where the view's centre is to lie from the target's, in camera axes of the target, m.
+    /// Where its view's centre lies from the one below, in camera axes of the target, m.
+    pub offset_m: Vec2,
+    /// Where the centre of the view below is to lie from the target's, in camera axes of the target, m.
     pub aim_m: Vec2,
     /// Standard deviation of where its view lies from the one below, each coordinate, m.
     pub change_m: f64,
@@ -48,10 +50,11 @@ impl HandOver {
             true => BESIDE_PX * target.um_per_px() * 1e-6 / std::f64::consts::SQRT_2,
             false => 0.0,
         };
-        // What the next objective shows in its middle lies beside the middle of this one.
         let camera_from_stage = target.stage_from_camera().transpose();
         Self {
             to: next.id.clone(),
+            offset_m: camera_from_stage * offset_m,
+            // What the next objective shows in its middle lies beside the middle of this one.
             aim_m: camera_from_stage * offset_m.map(|v| -v - beside_m),
             change_m,
             within_m: WITHIN * side_px * 1e-6 * next.nominal_um_per_px,

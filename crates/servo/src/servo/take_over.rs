@@ -4,6 +4,7 @@ use super::sight::{Located, Sight};
 use super::state::Servo;
 use crate::one_side::move_from_one_side;
 use crate::{HandOver, PoseEstimate, ServoEnd, ServoError, ServoTask, Velocity};
+use scopeservo_geometry::Mat2;
 use scopeservo_scope::Instrument;
 
 /// So many standard deviations are sure.
@@ -59,8 +60,13 @@ impl Servo {
         };
         let last = self.convergence.result(sight.measured(located, task));
         let goal = sight.goal(&velocity);
-        let change_m = over.change_m;
-        self.promise(task, scope, (sight, located), &goal, change_m);
+        // As the next objective would have seen it.
+        let mut seen = located.pose;
+        let offset_m = Mat2::rotation(seen.error.theta_rad) * over.offset_m;
+        for (t, offset) in seen.error.t_m.iter_mut().zip(offset_m) {
+            *t += offset;
+        }
+        self.promise(task, scope, (sight, &seen), &goal, over.change_m);
         move_from_one_side(scope, &sight.present, &goal, task.view_calibration)?;
         Ok(Some(ServoEnd::HandedOver {
             to: over.to.clone(),

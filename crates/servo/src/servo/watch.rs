@@ -11,6 +11,8 @@ use serde::{Deserialize, Serialize};
 /// What lies within so many standard deviations and a pixel of the view is what was promised; angles within so much, rad.
 const SIGMAS: f64 = 4.0;
 const SLACK_RAD: f64 = 3e-3;
+/// A stage whose play the calibration does not know may have as much, standard deviation, m.
+const UNKNOWN_PLAY_M: f64 = 8e-6;
 /// The errors of a calibration that a servo survives (the paper, Table II, at 100x): a share of each move for scale and camera angle, and the
 /// rotation centre, m.
 const DRIFTED_SHARE: f64 = 0.17;
@@ -65,7 +67,8 @@ impl Promise {
         let [x, y, turn] = mover.scatter;
         let eta = mover.view.rotation_centre_m.unwrap_or_default();
         let lever_m = f64::hypot(eta[0], eta[1]);
-        let arrival_sq = x * x + y * y + (lever_m * turn).powi(2);
+        let play_m = mover.view.backlash.map_or(UNKNOWN_PLAY_M, |_| 0.0);
+        let arrival_sq = x * x + y * y + (lever_m * turn).powi(2) + play_m * play_m;
         let known_m = mover.view.move_sigma_m(way_m, turned_rad).unwrap_or(0.0);
         let [a, b, angle] = seen.sigma();
         Self {

@@ -12,7 +12,7 @@ use crate::event::tell;
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Progress, home_after_an_answer};
-use crate::{CalibrateOptions, Calibration, Event, ServoError, Sink, VisionOptions};
+use crate::{CalibrateOptions, Calibration, ErrorKind, Event, ServoError, Sink, VisionOptions};
 use fixed::FixedOnSensor;
 use pair::Place;
 use scopeservo_features::Features;
@@ -88,7 +88,9 @@ impl Chain {
         let ended = self
             .work(scope, sink)
             .map_err(|e| self.or_it_shakes(scope, e));
-        if ended.is_err() {
+        // After a stop that somebody asked for nothing more happens.
+        let stopped = |e: &ServoError| e.kind() == ErrorKind::Interruption;
+        if ended.as_ref().is_err_and(|e| !stopped(e)) {
             self.tell_all(scope, sink);
         }
         home_after_an_answer(ended, || self.go_home(scope))
