@@ -1,8 +1,8 @@
 //! What repeated switching between objectives has shown: a new report lies beside the old ones, and the newest of two objectives counts.
 
 use crate::LibraryError;
-use crate::files::{make_folder, write_new};
-use crate::folder::{Folder, SCHEMA, entries, is_json, read, to_json};
+use crate::files::make_folder;
+use crate::folder::{Folder, SCHEMA, entries, is_json, read, to_json, write_numbered};
 use crate::names::{file_name, number_of, utc};
 use scopeservo_servo::SwitchingReport;
 use serde::{Deserialize, Serialize};
@@ -95,15 +95,7 @@ impl Nosepieces for Folder {
             switching: switching.clone(),
         };
         let bytes = to_json(&kept)?;
-        loop {
-            let last = entries(&folder)?.iter().map(|p| number_of(p)).max();
-            let number = last.unwrap_or(0) + 1;
-            let path = folder.join(format!("{number:06}_{}.json", made.replace(':', "-")));
-            // Another process may make one at the same time: whichever comes second takes the next number.
-            if write_new(&path, &bytes).map_err(LibraryError::not_kept(&path))? {
-                return Ok(path);
-            }
-        }
+        write_numbered(&folder, &made, &bytes)
     }
 }
 

@@ -17,8 +17,7 @@ pub struct Direct;
 impl ControlLaw for Direct {
     fn velocity(&self, estimate: &PoseEstimate, view: &Calibration) -> Velocity {
         let error = &estimate.error;
-        let side_m =
-            1e-6 * view.um_per_px() * view.image_size_px[0].min(view.image_size_px[1]) as f64;
+        let side_m = view.shorter_side_m();
         let lands = |share: f64| {
             let sigma_m = view.move_sigma_m(
                 share * f64::hypot(error.t_m[0], error.t_m[1]),

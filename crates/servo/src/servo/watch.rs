@@ -189,8 +189,6 @@ pub(crate) struct Watch {
     pub(crate) promise: Option<Promise>,
     /// Promises in a row that were not kept, and why the first was not.
     broken: Option<(u8, Contradiction)>,
-    /// Whether a move went as one with a drifted calibration.
-    pub(crate) drifted: bool,
     /// The target was lost by a move: the stage went back, and goes on in small steps until one does what it is to do.
     wary: Option<bool>,
 }
@@ -222,7 +220,7 @@ impl Watch {
         let kept = self.promise.take()?.kept(seen, mover, view_m);
         match kept {
             Kept::Yes => (self.broken, self.wary) = (None, self.wary.map(|_| false)),
-            Kept::Drifted => (self.broken, self.drifted) = (None, true),
+            Kept::Drifted => self.broken = None,
             Kept::No(why) => {
                 let (before, first) = self.broken.unwrap_or((0, why));
                 // What is said later was seen nearer to, unless it says less: of one axis alone nobody can tell that the other moves.
@@ -257,8 +255,7 @@ impl Watch {
         if self.wary != Some(true) {
             return velocity;
         }
-        let side_px = view.image_size_px[0].min(view.image_size_px[1]) as f64;
-        let reach_m = WARY * side_px * 1e-6 * view.um_per_px();
+        let reach_m = WARY * view.shorter_side_m();
         let [x, y] = velocity.t_m;
         let way_m = f64::hypot(x, y).max(WARY_CENTRE_M * velocity.theta_rad.abs());
         let share = (reach_m / way_m).min(1.0);
