@@ -155,7 +155,7 @@ impl LegPolicy for Shortest {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Calibration, ServoEnd};
+    use crate::{Calibration, PoseError, ServoEnd, ServoResult};
     use scopeservo_geometry::Mat2;
     use scopeservo_registration::NotFound;
 
@@ -289,5 +289,49 @@ mod tests {
                 "{count}"
             );
         }
+    }
+
+    #[test]
+    fn the_shortest_way_leaves_out_what_is_handed_over_past_and_tries_it_once_where_the_target_is_lost()
+     {
+        use Immersion::Air;
+        let objectives = nosepiece(&[("10x", 10.0, Air), ("20x", 20.0, Air), ("40x", 40.0, Air)]);
+        let target = ObjectiveId("40x".into());
+        let handed = |from: &str, to: &str| MagnificationResult {
+            end: ServoEnd::HandedOver {
+                to: ObjectiveId(to.into()),
+                lands_within_um: 10.0,
+                last: ServoResult {
+                    iterations: 1,
+                    inliers: 50,
+                    error: PoseError {
+                        t_m: [1e-4; 2],
+                        theta_rad: 0.0,
+                    },
+                    sigma_um: 0.1,
+                    sigma_deg: 0.001,
+                    limited_by: None,
+                },
+            },
+            ..lost(from)
+        };
+        let next = |done: &[MagnificationResult]| {
+            let so_far = SoFar {
+                objectives: &objectives,
+                target: &target,
+                target_is_calibrated: true,
+                immersion: Some(Air),
+                done,
+            };
+            Shortest.next(&so_far).map(|leg| leg.objective().0.clone())
+        };
+        let past = || handed("10x", "40x");
+        assert_eq!(next(&[]).as_deref(), Some("10x"));
+        assert_eq!(next(&[past()]).as_deref(), Some("40x"));
+        assert_eq!(next(&[past(), lost("40x")]).as_deref(), Some("20x"));
+        assert_eq!(next(&[past(), lost("40x"), lost("20x")]), None);
+        let again = [past(), lost("40x"), handed("20x", "40x")];
+        assert_eq!(next(&again).as_deref(), Some("40x"));
+        assert_eq!(next(&[again.as_slice(), &[lost("40x")]].concat()), None);
     }
 }
