@@ -14,6 +14,7 @@ from .frames import pack
 from .messages import Request
 
 MOTIONS = ("moving", "settled", "stopped")
+IMMERSIONS = ("air", "water", "glycerol", "silicone", "oil")
 MOVES = ("microscope", "specimen_rotation_on_top", "specimen_xy_on_top")
 # Arrivals that scatter by more, or by a tenth of the travel, are no stage's of a microscope, but a unit's that is wrong.
 WORST_REPEATABILITY = {"um": 50.0, "deg": 1.0}
@@ -174,6 +175,10 @@ class NosepieceAdapter:
                 all(math.isfinite(n) and n > 0 for n in numbers),
                 f"the numbers of objective {objective.id} must be positive",
             )
+            _declared(
+                objective.immersion in IMMERSIONS,
+                f"the immersion of objective {objective.id} must be one of {', '.join(IMMERSIONS)}",
+            )
         self.calls: dict[str, Callable[[Request], Reply]] = {"objective": self.objective, "change": self.change}
 
     def describe(self) -> dict[str, Any]:
@@ -183,6 +188,8 @@ class NosepieceAdapter:
                 "magnification": float(objective.magnification),
                 "numerical_aperture": float(objective.numerical_aperture),
                 "um_per_px": float(objective.um_per_px),
+                # Left out where a program of before it was thought of would take it to be.
+                **({} if objective.immersion == "air" else {"immersion": objective.immersion}),
             }
             for objective in self.objectives.values()
         ]

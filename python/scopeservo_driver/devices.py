@@ -60,13 +60,15 @@ class Objective:
     """One objective of a nosepiece.
 
     `magnification` is the total one and orders them; `um_per_px` is the nominal size of a camera pixel on the specimen,
-    within 30 %.
+    within 30 %. `immersion`: what it works in, one of "air", "water", "glycerol", "silicone" and "oil". The program asks somebody
+    before an objective comes that works in another medium.
     """
 
     id: str
     magnification: float
     numerical_aperture: float
     um_per_px: float
+    immersion: str = "air"
 
 
 @dataclass(frozen=True)

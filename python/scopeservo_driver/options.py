@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from .devices import Objective
-from .adapters import MOVES
+from .adapters import IMMERSIONS, MOVES
 from .serving import serve, serve_tcp
 
 
@@ -16,14 +16,16 @@ class OptionError(Exception):
 
 
 def objective(text: str) -> Objective:
-    """ID:MAGNIFICATION:NUMERICAL_APERTURE:UM_PER_PX. The id may have colons of its own."""
-    parts = text.rsplit(":", 3)
+    """ID:MAGNIFICATION:NUMERICAL_APERTURE:UM_PER_PX, and :IMMERSION where that is not air. The id may have colons of its own."""
+    numbers, _, last = text.rpartition(":")
+    immersion = last if last in IMMERSIONS else "air"
+    parts = (numbers if last in IMMERSIONS else text).rsplit(":", 3)
     try:
         id, magnification, numerical_aperture, um_per_px = parts
-        return Objective(id, float(magnification), float(numerical_aperture), float(um_per_px))
+        return Objective(id, float(magnification), float(numerical_aperture), float(um_per_px), immersion)
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not ID:MAGNIFICATION:NUMERICAL_APERTURE:UM_PER_PX, such as 10x:100:0.25:1.0"
+            f"{text!r} is not ID:MAGNIFICATION:NUMERICAL_APERTURE:UM_PER_PX, such as 10x:100:0.25:1.0, or 100x:1000:1.25:0.1:oil"
         ) from None
 
 
@@ -59,8 +61,8 @@ def add_objective_option(parser: argparse.ArgumentParser) -> None:
         type=objective,
         action="append",
         default=[],
-        metavar="ID:MAGNIFICATION:NA:UM_PER_PX",
-        help="an objective, such as 10x:100:0.25:1.0; repeat for each",
+        metavar="ID:MAGNIFICATION:NA:UM_PER_PX[:IMMERSION]",
+        help="an objective, such as 10x:100:0.25:1.0 or 100x:1000:1.25:0.1:oil; repeat for each",
     )
 
 

@@ -12,8 +12,9 @@ from typing import Any
 
 from support import Client, Lamp, SlowCamera, SlowNosepiece, SteppingStage, TimedStage
 
-from scopeservo_driver import Busy, Frame, NotHomed, Refused, translation
+from scopeservo_driver import Busy, Frame, NotHomed, Objective, Refused, translation
 from scopeservo_driver.instrument import Instrument
+from scopeservo_driver.options import objective
 from scopeservo_driver.serving import PipeChannel
 from scopeservo_driver.session import Session
 
@@ -104,6 +105,18 @@ class Conversation(unittest.TestCase):
         self.assertEqual(
             axes, [{"axis": "x", "min_um": 0, "max_um": 100, "repeatability_um": 1, "arrival_tolerance_um": 3}]
         )
+
+    def test_what_an_objective_works_in_is_told_where_it_is_not_air(self) -> None:
+        oil = Objective("100x", 1000, 1.25, 0.1, immersion="oil")
+        self.assertEqual(objective("100x:1000:1.25:0.1:oil"), oil)
+        self.assertEqual(objective("oil:100:0.25:2.2").immersion, "air")
+        dry = objective("10x:100:0.25:2.2")
+        client = self.connect(nosepiece=type("Wet", (SlowNosepiece,), {"objectives": [dry, oil]})())
+        told = client.hello()["nosepiece"]["objectives"]
+        self.assertEqual([one.get("immersion") for one in told], [None, "oil"])
+        with self.assertRaisesRegex(ValueError, "immersion of objective 10x"):
+            castor = Objective("10x", 100, 0.25, 2.2, immersion="castor oil")
+            self.connect(nosepiece=type("Odd", (SlowNosepiece,), {"objectives": [castor]})())
 
     def test_hello_comes_first_and_speaks_the_version(self) -> None:
         client = self.connect(light=Lamp())

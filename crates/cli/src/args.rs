@@ -1,6 +1,7 @@
 //! The grammar of the command line. One definition gives help and completion.
 
 mod common;
+mod moving;
 mod target;
 mod twin;
 mod work;

@@ -1,7 +1,7 @@
 //! `scopeservo demo`: a reposition on a simulated microscope, from saving the view to the report.
 
 use crate::answer::Answer;
-use crate::args::{DemoArgs, Method, Noise};
+use crate::args::{DemoArgs, Noise};
 use crate::bench::{Bench, displace, save_target};
 use crate::error::CliError;
 use crate::output::{self, DemoJson};
@@ -33,7 +33,7 @@ pub(crate) fn run(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
 
 fn check(args: &DemoArgs) -> Result<(), CliError> {
     let usage = |text: &str| Err(CliError::Usage(text.into()));
-    check_servo(args.lambda, args.max_iterations)?;
+    args.moving.options()?;
     if args.start_deg.is_some_and(|d| !d.is_finite()) {
         return usage("--start-deg must be a number of degrees");
     }
@@ -51,28 +51,12 @@ fn check(args: &DemoArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// The numbers of the control law.
-pub(crate) fn check_servo(lambda: f64, max_iterations: usize) -> Result<(), CliError> {
-    let usage = |text: &str| Err(CliError::Usage(text.into()));
-    if !(lambda > 0.0 && lambda <= 1.0) {
-        return usage("--lambda must be above 0 and at most 1; the paper uses 0.2");
-    }
-    if max_iterations == 0 {
-        return usage("--max-iterations must be at least 1");
-    }
-    Ok(())
-}
-
 /// The settings of the run.
-fn run_options(args: &DemoArgs) -> RepositionOptions {
-    RepositionOptions {
-        servo: ServoOptions {
-            lambda: args.lambda,
-            max_iterations: args.max_iterations,
-            ..ServoOptions::default()
-        },
+fn run_options(args: &DemoArgs) -> Result<RepositionOptions, CliError> {
+    Ok(RepositionOptions {
+        servo: args.moving.options()?,
         ..RepositionOptions::default()
-    }
+    })
 }
 
 fn demo(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
@@ -92,7 +76,7 @@ fn demo(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
         None => None,
     };
     let mut watcher = Watcher::new(views);
-    let ran = drive(&bench, run_options(args), &mut watcher);
+    let ran = drive(&bench, run_options(args)?, &mut watcher);
     watcher.finish();
     let ran = ran?;
     bench.scope.check_cancel()?;
@@ -108,7 +92,7 @@ fn demo(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
     }
     let target = ran.target.as_ref();
     let page = page(args, &bench, &recorder, &result, target, started);
-    keep_report(&out, &page, answer);
+    keep_report(&out, &page, None, answer);
     Ok(ran.outcome.verdict == Verdict::Arrived)
 }
 
@@ -171,6 +155,7 @@ fn result(args: &DemoArgs, bench: &Bench, ran: &Ran, watcher: &Watcher) -> DemoJ
         message: outcome.message.clone(),
         estimated_error_um: outcome.estimated_error_um,
         estimated_error_deg: outcome.estimated_error_deg,
+        limited_by: outcome.limited_by,
         true_error_um: arrival.map(|a| f64::hypot(a.0[0], a.0[1])),
         true_error_deg: arrival.map(|a| a.1.abs()),
         virtual_time_s: ran.time.as_secs_f64(),
@@ -181,10 +166,8 @@ fn result(args: &DemoArgs, bench: &Bench, ran: &Ran, watcher: &Watcher) -> DemoJ
             Noise::Default => "default",
             Noise::None => "none",
         },
-        method: match args.method {
-            Method::Paper => "paper",
-        },
-        lambda: args.lambda,
+        method: args.moving.method().word(),
+        lambda: args.moving.lambda(),
         seed: args.seed,
         specimen: specimen_name(args, bench),
         start_um: bench.scene.start_um,
@@ -201,6 +184,7 @@ fn nothing_to_save(error: &ServoError, scope: &Instrument, watcher: &mut Watcher
         message: format!("there was nothing to save as a target: {error}"),
         estimated_error_um: None,
         estimated_error_deg: None,
+        limited_by: None,
         unique_within_um: None,
         magnifications: Vec::new(),
     };
@@ -251,11 +235,12 @@ fn page(
     started: Instant,
 ) -> String {
     let truth = target.map(|target| hidden_truth(bench, recorder, target, result));
-    let servo = run_options(args).servo;
+    let servo = ServoOptions::default();
     let context = report::Context {
         title: format!("Reposition on {}", result.specimen),
         specimen: bench.specimen.describe(),
-        instrument: "simulated microscope (hexapod, 10x / 20x / 40x, 640x480 camera)".into(),
+        instrument: "hexapod, 10x / 20x / 40x, 640x480 camera".into(),
+        simulated: true,
         command: output::command_line(),
         seed: Some(args.seed),
         version: env!("CARGO_PKG_VERSION").into(),

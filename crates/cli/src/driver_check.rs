@@ -2,6 +2,7 @@
 
 use crate::answer::Answer;
 use crate::args::DriverCheckArgs;
+use crate::asking;
 use crate::doctor::{Finding, Findings};
 use crate::error::CliError;
 use crate::open_instrument::stop_on_interrupt;
@@ -128,7 +129,9 @@ fn instrument(
         },
         None => ChangeRule::Anywhere,
     });
-    Ok(Arc::new(Instrument::new(devices, rules, cancel.clone())?))
+    let scope = Instrument::new(devices, rules, cancel.clone())?;
+    let asking = asking::about_immersion(None);
+    Ok(Arc::new(scope.asking_before_immersion(asking)))
 }
 
 pub(crate) fn read_secret(path: &Path) -> Result<Secret, CliError> {

@@ -114,6 +114,7 @@ pub(crate) enum Code {
     Ambiguous,
     GridFailed,
     CheckFailed,
+    Immersion,
     NotKept,
     ForeignTarget,
     Interrupted,
@@ -144,7 +145,8 @@ impl Code {
             | Self::NothingMoves
             | Self::Ambiguous
             | Self::GridFailed
-            | Self::CheckFailed => 3,
+            | Self::CheckFailed
+            | Self::Immersion => 3,
             Self::NotKept
             | Self::ForeignTarget
             | Self::Blurred
@@ -212,6 +214,9 @@ pub(crate) fn advice(remedy: &Remedy) -> String {
         Remedy::Scope(ScopeRemedy::FocusNear { objective, z_um }) => {
             format!(": `scopeservo focus --objective {objective} --near-z-um {z_um:.1}`")
         }
+        Remedy::Scope(ScopeRemedy::AgreeToImmersion { to }) => {
+            format!(", in a terminal or with --immersion {}", to.word())
+        }
         Remedy::DescribeOneObjective => " (nosepiece = \"none\")".into(),
         Remedy::CorrectScales => " (um_per_px)".into(),
         _ => String::new(),
@@ -242,6 +247,7 @@ fn servo_code(error: &ServoError) -> Code {
         ErrorCode::Ambiguous => Code::Ambiguous,
         ErrorCode::GridFailed => Code::GridFailed,
         ErrorCode::CheckFailed => Code::CheckFailed,
+        ErrorCode::Immersion => Code::Immersion,
         ErrorCode::OutsideLimits | ErrorCode::Refused => Code::Refused,
         ErrorCode::Interrupted => Code::Interrupted,
         ErrorCode::Fault => Code::Fault,
@@ -288,6 +294,17 @@ mod tests {
         ] {
             assert!(outside.ends_with("`scopeservo stage go`"), "{outside}");
         }
+        let immersion = told(ScopeError::ImmersionNotAgreed {
+            change: scopeservo_scope::ImmersionChange {
+                objective: scopeservo_scope::ObjectiveId("60x".into()),
+                to: scopeservo_scope::Immersion::Silicone,
+                from: [scopeservo_scope::Immersion::Air].into(),
+            },
+        });
+        assert!(
+            immersion.ends_with("agree to this change, in a terminal or with --immersion silicone"),
+            "{immersion}"
+        );
         let change = told(ScopeError::ChangeEnded {
             asked: scopeservo_scope::ObjectiveId("40x".into()),
             retracted_from_um: Some(12.34),

@@ -2,7 +2,7 @@
 
 use scopeservo_library::{
     Calibrations as _, Cameras as _, Folder, Journal as _, JournalHead, JournalStep, Journalled,
-    LibraryError, utc,
+    LibraryError, Nosepieces as _, utc,
 };
 use scopeservo_scope::{Axis, Instrument, Length, StagePose};
 use scopeservo_station::{Ended, JobInfo, Journal, JournalError, Kept, MadeCalibration};
@@ -168,6 +168,10 @@ impl Journal for FileJournal {
                 let calibration = (**made).clone();
                 self.at_work().made.push(Made { calibration, file });
                 lost.map_or(Ok(()), |error| Err(failed(error)))
+            }
+            Kept::Switching(report) => {
+                let kept = self.library.keep_switching(&self.instrument, report);
+                kept.map(drop).map_err(failed)
             }
             Kept::Shadows(seen) => {
                 let kept = self.library.keep_shadows(&self.instrument, seen);

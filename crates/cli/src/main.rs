@@ -8,6 +8,7 @@
 #[macro_use]
 mod answer;
 mod args;
+mod asking;
 mod beginning;
 mod bench;
 mod calibrations;

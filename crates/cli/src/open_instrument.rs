@@ -2,22 +2,20 @@
 
 use crate::answer::Answer;
 use crate::args::InstrumentArgs;
+use crate::asking;
 use crate::beginning;
 use crate::console::{Console, Late, Told};
 use crate::error::{CliError, Code};
 use crate::journal::{self, Asked, FileJournal, Made};
 use crate::progress::Watcher;
 use scopeservo_library::{
-    Cameras as _, Folder, Journal as _, Journalled, RunHead, RunLog, Runs as _,
+    Cameras as _, Folder, Journal as _, Journalled, Nosepieces as _, RunHead, RunLog, Runs as _,
 };
-use scopeservo_scope::{CancelToken, GateEvent, Instrument, Objective};
-use scopeservo_servo::ErrorKind;
+use scopeservo_scope::{CancelToken, GateEvent, Instrument, Length, ObjectiveId};
+use scopeservo_servo::{ErrorKind, SwitchingReport};
 use scopeservo_setup::{Config, Consent, Held, Opened, connect, home_if_needed};
 use scopeservo_station::{News, StationEvent, UseCase};
-use std::io::{BufRead, IsTerminal};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// What a command works at.
 pub(crate) struct OpenInstrument {
@@ -26,6 +24,8 @@ pub(crate) struct OpenInstrument {
     pub(crate) scope: Arc<Instrument>,
     pub(crate) drivers: Vec<(String, String)>,
     pub(crate) console: Console,
+    /// What is known of where its objectives look and focus beside each other.
+    pub(crate) switchings: Vec<SwitchingReport>,
     journal: Arc<FileJournal>,
     /// Let go last.
     _held: Held,
@@ -95,7 +95,8 @@ impl OpenInstrument {
         let stop = stop_on_interrupt(&cancel, answer);
         let consent = Consent {
             home: args.home,
-            ask: Arc::new(ask),
+            ask: Arc::new(asking::to_turn),
+            ask_immersion: asking::about_immersion(args.immersion),
         };
         let Opened {
             instrument,
@@ -108,6 +109,7 @@ impl OpenInstrument {
         let info = scope.camera().info();
         let seen = library.shadows(&config.name, [info.width, info.height]);
         scope.set_flat_field(answer.or_warn(seen).flatten().map(Arc::new));
+        let switchings = known_switchings(&config, &library, &scope, answer);
         let journal = Arc::new(FileJournal::new(&library, &config.name, &scope));
         let goes = journal.clone();
         let console = Console::new(&scope, journal.clone(), Late::LeftOut, move |record| {
@@ -123,8 +125,18 @@ impl OpenInstrument {
             scope,
             drivers,
             console,
+            switchings,
             journal,
             _held: held,
+        })
+    }
+
+    /// Whether stage or camera are simulated.
+    pub(crate) fn is_simulated(&self) -> bool {
+        let devices = &self.config.devices;
+        [&devices.stage, &devices.camera].into_iter().any(|name| {
+            let driver = self.config.drivers.get(name);
+            driver.is_some_and(|driver| driver.twin.is_some())
         })
     }
 
@@ -197,6 +209,29 @@ impl OpenInstrument {
     }
 }
 
+/// What was kept of the nosepiece, of objectives that it carries; the instrument learns how high they focus beside each other.
+fn known_switchings(
+    config: &Config,
+    library: &Folder,
+    scope: &Instrument,
+    answer: &Answer,
+) -> Vec<SwitchingReport> {
+    let kept = answer.or_warn(library.switchings(&config.name));
+    let kept = kept.into_iter().flatten();
+    let all = kept.filter_map(|kept| Some(answer.or_warn(kept)?.switching));
+    let there = |id: &ObjectiveId| scope.objective(id).is_ok();
+    let all: Vec<_> = all.filter(|s| there(&s.from) && there(&s.to)).collect();
+    for SwitchingReport {
+        from, to, focus, ..
+    } in &all
+    {
+        if let Some(focus) = focus {
+            scope.parfocal_known([from, to], Length::from_um(focus.offset_um.value));
+        }
+    }
+    all
+}
+
 /// What a job came to.
 pub(crate) struct Ran<T> {
     pub(crate) output: Result<T, CliError>,
@@ -223,54 +258,4 @@ impl<T> Ran<T> {
         answer.or_warn(self.journal.close());
         self.output
     }
-}
-
-/// Lines typed at the terminal. One reader for all questions: one that was given up would otherwise eat the answer to the next.
-fn typed() -> &'static Mutex<Receiver<String>> {
-    static TYPED: OnceLock<Mutex<Receiver<String>>> = OnceLock::new();
-    TYPED.get_or_init(|| {
-        let (tell, lines) = mpsc::channel();
-        std::thread::spawn(move || {
-            for line in std::io::stdin().lock().lines() {
-                let Ok(line) = line else { return };
-                if tell.send(line).is_err() {
-                    return;
-                }
-            }
-        });
-        Mutex::new(lines)
-    })
-}
-
-/// How often one who waits for an answer looks whether it is still wanted.
-const LOOK: Duration = Duration::from_millis(50);
-
-/// Asks whoever sits at the terminal to turn the nosepiece.
-fn ask(objective: &Objective, wanted: &dyn Fn() -> bool) -> bool {
-    let id = &objective.id;
-    if !std::io::stdin().is_terminal() {
-        tell!(
-            "scopeservo: the objective {id} is needed, and nobody is there to turn the nosepiece: run this in a terminal"
-        );
-        return false;
-    }
-    let lines = typed().lock().unwrap_or_else(PoisonError::into_inner);
-    // What was typed before the question is no answer to it.
-    while lines.try_recv().is_ok() {}
-    tell!("Turn the nosepiece to {id}, then press Enter. Type n to end.");
-    while wanted() {
-        match lines.recv_timeout(LOOK) {
-            Ok(line) => {
-                let word = line.trim().to_ascii_lowercase();
-                match word.as_str() {
-                    "" | "y" | "yes" => return true,
-                    "n" | "no" | "q" => return false,
-                    _ => tell!("Press Enter when {id} is in, or type n to end."),
-                }
-            }
-            Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => return false,
-        }
-    }
-    false
 }

@@ -1,7 +1,7 @@
 //! The keys of the JSON that `--json` prints, where they are many. Keys are stable: they are added to, never renamed.
 
 use scopeservo_geometry::Affine2;
-use scopeservo_servo::{Calibration, Change, Changing, Outcome, Reason, Verdict};
+use scopeservo_servo::{Calibration, Change, Changing, LimitedBy, Outcome, Reason, Verdict};
 use serde::Serialize;
 
 /// A verdict as people read it.
@@ -33,6 +33,7 @@ pub(crate) struct DemoJson {
     pub(crate) message: String,
     pub(crate) estimated_error_um: Option<f64>,
     pub(crate) estimated_error_deg: Option<f64>,
+    pub(crate) limited_by: Option<LimitedBy>,
     pub(crate) true_error_um: Option<f64>,
     pub(crate) true_error_deg: Option<f64>,
     pub(crate) virtual_time_s: f64,
@@ -41,7 +42,7 @@ pub(crate) struct DemoJson {
     pub(crate) magnifications: Vec<MagnificationJson>,
     pub(crate) noise: &'static str,
     pub(crate) method: &'static str,
-    pub(crate) lambda: f64,
+    pub(crate) lambda: Option<f64>,
     pub(crate) seed: u64,
     pub(crate) specimen: String,
     pub(crate) start_um: [f64; 2],

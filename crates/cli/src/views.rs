@@ -153,13 +153,17 @@ pub(crate) fn keep_json(path: &Path, value: &impl Serialize) -> Result<(), CliEr
     keep(path, &text)
 }
 
-/// Keeps the report of a run and, last, its result: the answer as it then stands.
-pub(crate) fn keep_report(out: &Path, page: &str, answer: &Answer) {
+/// Keeps the report of a run and, last, its result: the answer as it then stands, or the error that it ended with.
+pub(crate) fn keep_report(out: &Path, page: &str, error: Option<&CliError>, answer: &Answer) {
     let report = out.join("report.html");
     if answer.or_warn(keep(&report, page)).is_some() {
         say!(answer, "  report: {}", report.display());
     }
-    answer.or_warn(keep_json(&out.join("result.json"), &answer.object()));
+    let object = match error {
+        Some(error) => answer.object_with(error),
+        None => answer.object(),
+    };
+    answer.or_warn(keep_json(&out.join("result.json"), &object));
 }
 
 #[cfg(test)]

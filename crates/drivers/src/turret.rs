@@ -4,7 +4,7 @@
 //! objectives are out of the way, and somebody has asked for a change. Nothing turns on connecting.
 
 use crate::session::{bad_setting, lock};
-use scopeservo_scope::{KnownBy, Motion, Nosepiece, Objective, ObjectiveId, ScopeError};
+use scopeservo_scope::{Immersion, KnownBy, Motion, Nosepiece, Objective, ObjectiveId, ScopeError};
 use serde::Deserialize;
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -22,6 +22,9 @@ pub struct TurretPlace {
     pub numerical_aperture: f64,
     /// Nominal size of a camera pixel on the specimen.
     pub um_per_px: f64,
+    /// What it works in; air when left out.
+    #[serde(default)]
+    pub immersion: Immersion,
     /// Where the axis stands.
     pub at_deg: f64,
 }
@@ -33,6 +36,7 @@ impl TurretPlace {
             magnification: self.magnification,
             numerical_aperture: self.numerical_aperture,
             nominal_um_per_px: self.um_per_px,
+            immersion: self.immersion,
         }
     }
 }
@@ -325,6 +329,7 @@ mod tests {
     fn places() -> Vec<TurretPlace> {
         [("10x", 0.0), ("20x", 90.0), ("40x", 180.0)]
             .map(|(id, at_deg)| TurretPlace {
+                immersion: Immersion::Air,
                 id: id.into(),
                 magnification: 100.0,
                 numerical_aperture: 0.3,

@@ -12,9 +12,9 @@ use scopeservo_drivers::gcode::{GcodeAxis, GcodeSettings, GcodeStage};
 use scopeservo_drivers::gcs2::{Gcs2Settings, Gcs2Stage};
 use scopeservo_drivers::sangaboard::{SangaAxis, SangaSettings, SangaStage};
 use scopeservo_scope::{
-    Axis, AxisRange, CancelToken, ChangeRule, Devices, ErrorKind, Instrument, Kinematics, Limits,
-    Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError, Stage,
-    StagePose, SystemClock, conformance,
+    Axis, AxisRange, CancelToken, ChangeRule, Devices, ErrorKind, Immersion, Instrument,
+    Kinematics, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules,
+    ScopeError, Stage, StagePose, SystemClock, conformance,
 };
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -38,6 +38,7 @@ impl Turret {
             magnification: 100.0,
             numerical_aperture: 0.25,
             nominal_um_per_px: 1.0,
+            immersion: Immersion::Air,
         };
         Self {
             objectives: ["10x", "40x"].map(objective).into(),

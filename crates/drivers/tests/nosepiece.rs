@@ -9,8 +9,8 @@ use scopeservo_drivers::gcode::{GcodeSettings, GcodeStage};
 use scopeservo_drivers::gcs2::{Gcs2Nosepiece, Gcs2Settings, Gcs2Stage};
 use scopeservo_drivers::turret::TurretPlace;
 use scopeservo_scope::{
-    Axis, AxisInfo, ChangeRule, Kinematics, KnownBy, Motion, MotionGate, Nosepiece, ObjectiveId,
-    PositiveZ, Rules, ScopeError, Stage, StagePose,
+    Axis, AxisInfo, ChangeRule, Immersion, Kinematics, KnownBy, Motion, MotionGate, Nosepiece,
+    ObjectiveId, PositiveZ, Rules, ScopeError, Stage, StagePose,
 };
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -19,6 +19,7 @@ fn places() -> Vec<TurretPlace> {
     [("10x", 0.0), ("20x", 60.0), ("40x", 120.0)]
         .map(|(id, at_deg)| TurretPlace {
             id: id.into(),
+            immersion: Immersion::Air,
             magnification: 100.0,
             numerical_aperture: 0.3,
             um_per_px: 1.0,

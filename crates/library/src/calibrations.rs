@@ -1,8 +1,8 @@
 //! Calibrations: a new one lies beside the old ones, numbered in the order in which they were made; the newest counts.
 
 use crate::LibraryError;
-use crate::files::{make_folder, write_new};
-use crate::folder::{Folder, SCHEMA, entries, is_json, read, to_json};
+use crate::files::make_folder;
+use crate::folder::{Folder, SCHEMA, entries, is_json, read, to_json, write_numbered};
 use crate::names::{file_name, number_of, utc};
 use scopeservo_scope::{Length, Objective, ObjectiveId};
 use scopeservo_servo::{CalibrateOptions, Calibration};
@@ -184,15 +184,7 @@ impl Calibrations for Folder {
             residual_px,
         };
         let bytes = to_json(&kept)?;
-        loop {
-            let last = entries(&folder)?.iter().map(|p| number_of(p)).max();
-            let number = last.unwrap_or(0) + 1;
-            let path = folder.join(format!("{number:06}_{}.json", made.replace(':', "-")));
-            // Another process may make one at the same time: whichever comes second takes the next number.
-            if write_new(&path, &bytes).map_err(LibraryError::not_kept(&path))? {
-                return Ok(path);
-            }
-        }
+        write_numbered(&folder, &made, &bytes)
     }
 }
 
@@ -200,6 +192,7 @@ impl Calibrations for Folder {
 mod tests {
     use super::*;
     use scopeservo_geometry::Mat2;
+    use scopeservo_scope::Immersion;
     use std::fs;
 
     fn objective() -> Objective {
@@ -208,6 +201,7 @@ mod tests {
             magnification: 400.0,
             numerical_aperture: 0.65,
             nominal_um_per_px: 0.2,
+            immersion: Immersion::Air,
         }
     }
 
@@ -282,6 +276,7 @@ mod tests {
             magnification: 100.0,
             numerical_aperture: 0.25,
             nominal_um_per_px: 0.5,
+            immersion: Immersion::Air,
         };
         let sound = Calibration {
             schema: scopeservo_servo::CALIBRATION_SCHEMA,

@@ -1,7 +1,8 @@
 //! A library that is a folder of files.
 
 use crate::LibraryError;
-use crate::files;
+use crate::files::{self, write_new};
+use crate::names::number_of;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder as _};
 use serde::Serialize;
@@ -93,4 +94,24 @@ pub(crate) fn to_png(
         .write_image(samples, width as u32, height as u32, color)
         .map_err(|e| LibraryError::Encode(e.to_string()))?;
     Ok(png)
+}
+
+/// Writes a file beside those of a folder, under the next number and the moment it was `made`. Returns where it lies.
+///
+/// # Errors
+/// [`LibraryError::NotKept`]; [`LibraryError::Read`] for the folder.
+pub(crate) fn write_numbered(
+    folder: &Path,
+    made: &str,
+    bytes: &[u8],
+) -> Result<PathBuf, LibraryError> {
+    loop {
+        let last = entries(folder)?.iter().map(|p| number_of(p)).max();
+        let number = last.unwrap_or(0) + 1;
+        let path = folder.join(format!("{number:06}_{}.json", made.replace(':', "-")));
+        // Another process may make one at the same time: whichever comes second takes the next number.
+        if write_new(&path, bytes).map_err(LibraryError::not_kept(&path))? {
+            return Ok(path);
+        }
+    }
 }

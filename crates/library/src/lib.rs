@@ -13,6 +13,7 @@ pub mod files;
 mod folder;
 mod journal;
 mod names;
+mod nosepieces;
 mod runs;
 mod target_file;
 mod targets;
@@ -23,11 +24,18 @@ pub use error::LibraryError;
 pub use folder::Folder;
 pub use journal::{Journal, JournalHead, JournalStep, Journalled};
 pub use names::utc;
+pub use nosepieces::{KeptSwitching, Nosepieces};
 pub use runs::{RunHead, RunLog, Runs};
 pub use target_file::KeptTarget;
 pub use targets::Targets;
 
 /// Everything that is kept of an instrument.
-pub trait Library: Calibrations + Cameras + Targets + Runs + Journal + Send + Sync {}
+pub trait Library:
+    Calibrations + Cameras + Nosepieces + Targets + Runs + Journal + Send + Sync
+{
+}
 
-impl<T: Calibrations + Cameras + Targets + Runs + Journal + Send + Sync> Library for T {}
+impl<T: Calibrations + Cameras + Nosepieces + Targets + Runs + Journal + Send + Sync> Library
+    for T
+{
+}

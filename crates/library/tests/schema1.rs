@@ -1,7 +1,7 @@
 //! What the first version kept is still there.
 
 use scopeservo_library::{Calibrations as _, Folder, Targets as _};
-use scopeservo_scope::{Objective, ObjectiveId};
+use scopeservo_scope::{Immersion, Objective, ObjectiveId};
 use std::fs;
 use std::path::Path;
 
@@ -76,6 +76,7 @@ fn a_calibration_of_the_first_version_counts() {
         magnification: 400.0,
         numerical_aperture: 0.65,
         nominal_um_per_px: 0.51,
+        immersion: Immersion::Air,
     };
     let kept = library.calibration(&objective).unwrap().unwrap();
     assert!((kept.calibration.um_per_px() - 0.5114).abs() < 1e-3);

@@ -1,8 +1,8 @@
 //! What a driver says it is, and whether that makes sense.
 
 use scopeservo_scope::{
-    Axis, AxisInfo, CameraInfo, Channels, Kinematics, KnownBy, Nosepiece, Objective, ObjectiveId,
-    PositiveZ, StageInfo,
+    Axis, AxisInfo, CameraInfo, Channels, Immersion, Kinematics, KnownBy, Nosepiece, Objective,
+    ObjectiveId, PositiveZ, StageInfo,
 };
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -141,6 +141,9 @@ pub struct ObjectiveHello {
     pub numerical_aperture: f64,
     /// Nominal size of a camera pixel on the specimen.
     pub um_per_px: f64,
+    /// What it works in.
+    #[serde(default, skip_serializing_if = "Immersion::is_air")]
+    pub immersion: Immersion,
 }
 
 /// A light on the wire.
@@ -344,6 +347,7 @@ impl NosepieceHello {
                 magnification: hello.magnification,
                 numerical_aperture: hello.numerical_aperture,
                 nominal_um_per_px: hello.um_per_px,
+                immersion: hello.immersion,
             };
             objective.check().map_err(|e| e.to_string())?;
             all.push(objective);
@@ -366,6 +370,7 @@ impl NosepieceHello {
                     magnification: o.magnification,
                     numerical_aperture: o.numerical_aperture,
                     um_per_px: o.nominal_um_per_px,
+                    immersion: o.immersion,
                 })
                 .collect(),
         }
@@ -396,6 +401,29 @@ mod tests {
         let back = StageHello::of(&stated, true).info().unwrap();
         assert!((back.axes[0].tolerance() - 3e-6).abs() < 1e-15);
         assert_eq!(back.axes[1].arrival_tolerance, None);
+    }
+
+    #[test]
+    fn an_objective_works_in_air_unless_it_says_otherwise() {
+        let hello = json!({"name":"n","objectives":[
+            {"id":"10x","magnification":100.0,"numerical_aperture":0.25,"um_per_px":2.2},
+            {"id":"100x","magnification":1000,"numerical_aperture":1.25,"um_per_px":0.2,"immersion":"oil"}]});
+        let told: NosepieceHello = serde_json::from_value(hello.clone()).unwrap();
+        let media: Vec<Immersion> = told
+            .objectives()
+            .unwrap()
+            .iter()
+            .map(|o| o.immersion)
+            .collect();
+        assert_eq!(media, [Immersion::Air, Immersion::Oil]);
+        // As a driver of before it was thought of would say it.
+        let back = serde_json::to_value(&told).unwrap();
+        assert_eq!(back["objectives"][0], hello["objectives"][0]);
+        assert_eq!(back["objectives"][1]["immersion"], "oil");
+        let mut odd = hello;
+        odd["objectives"][0]["immersion"] = json!("castor oil");
+        let said = serde_json::from_value::<NosepieceHello>(odd).unwrap_err();
+        assert!(said.to_string().contains("castor oil"), "{said}");
     }
 
     #[test]

@@ -2,8 +2,8 @@
 
 use scopeservo_protocol::{Driver, Offer, listen};
 use scopeservo_scope::{
-    Axis, AxisInfo, CancelToken, ChangeRule, Clock, Devices, Instrument, Kinematics, KnownBy,
-    Light, Motion, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError, Stage,
+    Axis, AxisInfo, CancelToken, ChangeRule, Clock, Devices, Immersion, Instrument, Kinematics,
+    KnownBy, Light, Motion, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError, Stage,
     StageInfo, StagePose, SystemClock, check_level,
 };
 use std::net::TcpListener;
@@ -158,6 +158,7 @@ fn a_nosepiece_of_another_program_says_how_it_knows_its_objective() {
             magnification: 100.0,
             numerical_aperture: 0.25,
             nominal_um_per_px: 1.0,
+            immersion: Immersion::Air,
         };
         let turned = Turned(["10x", "40x"].map(objective).into(), Mutex::new(None));
         let offer = Offer {

@@ -4,8 +4,8 @@
 
 use scopeservo_protocol::{Driver, DriverError, Offer, Secret, listen};
 use scopeservo_scope::{
-    Axis, CancelToken, ChangeRule, Clock, Devices, Instrument, Motion, Rules, StagePose,
-    SystemClock, conformance,
+    Axis, CancelToken, ChangeRule, Clock, Devices, Immersion, Instrument, Motion, ObjectiveId,
+    Rules, ScopeError, StagePose, SystemClock, conformance,
 };
 use scopeservo_twin::specimen::Tissue;
 use scopeservo_twin::{Config, Twin};
@@ -19,7 +19,12 @@ fn served(secret: Option<Secret>) -> String {
     let mut config = Config::realistic();
     config.camera.width = 320;
     config.camera.height = 240;
-    let twin = Twin::new(config, Arc::new(Tissue::new(3)), 3, clock.clone()).unwrap();
+    let twin = Twin::new(config, Arc::new(Tissue::new(3)), 3, clock).unwrap();
+    offered(twin, secret)
+}
+
+/// A twin on a port of its own.
+fn offered(twin: Twin, secret: Option<Secret>) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
     std::thread::spawn(move || {
@@ -30,6 +35,23 @@ fn served(secret: Option<Secret>) -> String {
         listen(&listener, &offer, secret.as_ref(), &|_| {})
     });
     address
+}
+
+#[test]
+fn the_immersion_of_a_driver_s_objectives_is_asked_about_here() {
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    let mut config = Config::realistic();
+    config.optics[2].immersion = Immersion::Oil;
+    let twin = Twin::new(config, Arc::new(Tissue::new(3)), 3, clock).unwrap();
+    let scope = instrument(&offered(twin, None));
+    let refused = scope.select_objective(&ObjectiveId("40x".into()));
+    assert!(
+        matches!(&refused, Err(ScopeError::ImmersionNotAgreed { change }) if change.to == Immersion::Oil),
+        "{refused:?}"
+    );
+    let stays = scope.gate().current_objective().unwrap();
+    assert_eq!(stays, Some(ObjectiveId("10x".into())));
+    scope.select_objective(&ObjectiveId("20x".into())).unwrap();
 }
 
 fn instrument(address: &str) -> Instrument {

@@ -3,9 +3,9 @@
 use crate::model::Report;
 use crate::model::TrueCalibration;
 use crate::svg::{Canvas, Mark, Panel, Scale, WIDTH};
-use crate::text::{count, escape, fixed, group};
+use crate::text::{count, escape, fixed, group, short, um};
 use crate::timeline::Calibrating;
-use scopeservo_servo::Calibration;
+use scopeservo_servo::{Calibration, EXAMPLE_MOVE};
 use std::fmt::Write as _;
 
 /// How a number is read off a calibration.
@@ -30,15 +30,56 @@ pub(crate) fn section(r: &Report<'_>) -> String {
          image's middle. After ± one standard deviation.</p>\n<div class=\"cards\">\n",
     );
     for c in &r.timeline.calibrations {
-        out.push_str(&card(r, c));
+        let objective = escape(&c.objective.0);
+        let _ = writeln!(
+            out,
+            "<article class=\"card\"><h3>{objective}</h3>\n{}{}</article>",
+            card(r, c),
+            shifts(c)
+        );
     }
     out.push_str("</div>\n");
     out
 }
 
-fn card(r: &Report<'_>, c: &Calibrating<'_>) -> String {
-    let objective = escape(&c.objective.0);
-    let mut out = format!("<article class=\"card\"><h3>{objective}</h3>\n");
+/// A calibration in a sentence or two.
+pub(crate) fn in_words(c: &Calibration) -> String {
+    let um_per_px = c.um_per_px();
+    let known = c.sigma_of(|c| Some(c.um_per_px()));
+    let known = known.map_or(String::new(), |s| {
+        format!(", known to {} %", short(100.0 * s / um_per_px))
+    });
+    let move_off = c.expected_error_um().map_or(String::new(), |off_um| {
+        let turns = c.rotation_centre_m.map_or("", |_| " and 1°");
+        format!(
+            "; one move of {} µm{turns} is expected to end {} off",
+            fixed(EXAMPLE_MOVE.0 * 1e6, 0),
+            um(off_um)
+        )
+    });
+    format!(
+        "{}: a pixel is {} µm on the specimen{known}{move_off}.",
+        c.objective,
+        fixed(um_per_px, 4)
+    )
+}
+
+/// The direction of the image's x in the stage's axes, degrees.
+pub(crate) fn image_x_deg(c: &Calibration) -> f64 {
+    let [[a, _], [b, _]] = c.stage_from_pixel.0;
+    b.atan2(a).to_degrees()
+}
+
+/// How far the image's axes are from a right angle in the stage's, degrees.
+fn skew_deg(c: &Calibration) -> f64 {
+    let [[a, b], [d, e]] = c.stage_from_pixel.0;
+    let cosine = (a * b + d * e) / (f64::hypot(a, d) * f64::hypot(b, e));
+    cosine.clamp(-1.0, 1.0).asin().to_degrees()
+}
+
+/// The numbers of a calibration, or that there are none.
+pub(crate) fn card(r: &Report<'_>, c: &Calibrating<'_>) -> String {
+    let mut out = String::from("<div class=\"numbers-of\">\n");
     match c.made {
         None => {
             let found = c.shifts_px.iter().flatten().count();
@@ -67,6 +108,7 @@ fn card(r: &Report<'_>, c: &Calibrating<'_>) -> String {
                 String::new()
             };
             let _ = writeln!(out, "<p>From {}{residual}.</p>", count(views, "view"));
+            out.push_str(&arrivals(calibration));
             if let Some(b) = calibration.backlash {
                 let um = |v: f64, sigma: f64| {
                     format!(
@@ -84,8 +126,34 @@ fn card(r: &Report<'_>, c: &Calibrating<'_>) -> String {
             }
         }
     }
-    out.push_str(&shifts(c));
-    out.push_str("</article>\n");
+    out.push_str("</div>\n");
+    out
+}
+
+/// How the stage arrives, and what that makes of a move.
+fn arrivals(c: &Calibration) -> String {
+    let mut out = String::new();
+    if let Some([x, y, turn]) = c.scatter {
+        let _ = write!(
+            out,
+            "<p>Arrivals scatter (σ): <i>x</i> {} µm, <i>y</i> {} µm",
+            fixed(1e6 * x, 3),
+            fixed(1e6 * y, 3)
+        );
+        if turn > 0.0 {
+            let _ = write!(out, ", rotation {}°", fixed(turn.to_degrees(), 5));
+        }
+        out.push_str(".</p>\n");
+    }
+    if let Some(off_um) = c.expected_error_um() {
+        let turns = c.rotation_centre_m.map_or("", |_| " and 1°");
+        let _ = writeln!(
+            out,
+            "<p>Predicted arrival error of one move of {} µm{turns}: <b>{}</b>.</p>",
+            fixed(EXAMPLE_MOVE.0 * 1e6, 0),
+            um(off_um)
+        );
+    }
     out
 }
 
@@ -181,6 +249,22 @@ fn quantities(c: &Calibration, truth: Option<&TrueCalibration>) -> Vec<Quantity>
                 });
             }
         }
+    }
+    let axes: [(&str, Reader); 2] = [
+        ("image <i>x</i> against stage <i>x</i>", |c| {
+            Some(image_x_deg(c))
+        }),
+        ("skew", |c| Some(skew_deg(c))),
+    ];
+    // Where phi is told it says the same.
+    for (name, of) in axes.into_iter().skip(usize::from(c.reading().is_some())) {
+        out.extend(of(c).map(|value| Quantity {
+            name,
+            unit: "°",
+            value,
+            sigma: c.sigma_of(of),
+            truth: None,
+        }));
     }
     if let Some(eta) = c.rotation_centre_m {
         for (k, name) in ["η<sub>x</sub>", "η<sub>y</sub>"].into_iter().enumerate() {

@@ -16,6 +16,8 @@
 )]
 
 mod calibration;
+mod chain;
+mod changes;
 mod focus;
 mod matches;
 mod model;
@@ -29,7 +31,11 @@ mod svg;
 mod text;
 mod timeline;
 mod views;
+mod work;
 
-pub use model::{Context, Convergence, TrueCalibration, TrueIteration, Truth};
+pub use model::{
+    Context, Convergence, Failure, TrueCalibration, TrueIteration, Truth, Work, WorkEnd,
+};
 pub use page::html;
 pub use recorder::Recorder;
+pub use work::work_html;

@@ -1,6 +1,7 @@
 //! The places that view and target share, drawn: why the program believes what it sees.
 
 use crate::model::{Report, view_name};
+use crate::picture::Gallery;
 use crate::svg::Attr;
 use crate::text::{count, escape, fixed};
 use std::fmt::Write as _;
@@ -17,13 +18,13 @@ pub(crate) fn section(r: &Report<'_>) -> String {
             continue;
         };
         let name = view_name(first.sequence);
-        let (Some(view), Some(target)) = (r.gallery.size(&name), r.gallery.size("target")) else {
-            continue;
-        };
         if first.pairs.is_empty() {
             continue;
         }
-        let (svg, shown) = drawing(r, &name, view, target, first.pairs);
+        let words = ["first view", "saved view"];
+        let Some((svg, shown)) = drawing(&r.gallery, [&name, "target"], words, first.pairs) else {
+            continue;
+        };
         let share = if shown < first.pairs.len() {
             format!("; {shown} of them drawn")
         } else {
@@ -51,13 +52,15 @@ pub(crate) fn section(r: &Report<'_>) -> String {
     )
 }
 
-fn drawing(
-    r: &Report<'_>,
-    name: &str,
-    (w, h): (f64, f64),
-    (tw, th): (f64, f64),
+/// Two pictures side by side with lines between the places that they share, x, y in the left one, x, y in the right one; and how many lines.
+/// `None` where one of them is not there.
+pub(crate) fn drawing(
+    gallery: &Gallery,
+    names: [&str; 2],
+    words: [&str; 2],
     pairs: &[[f32; 4]],
-) -> (String, usize) {
+) -> Option<(String, usize)> {
+    let [(w, h), (tw, th)] = [gallery.size(names[0])?, gallery.size(names[1])?];
     // Both images as high as the view.
     let scale = h / th;
     let gap = w * GAP;
@@ -98,19 +101,22 @@ fn drawing(
             );
         }
     }
-    let label = format!("{n} matching places joined by lines between first view and saved view");
+    let label = format!(
+        "{n} matching places joined by lines between {} and {}",
+        words[0], words[1]
+    );
     let svg = format!(
         "<svg class=\"pic\" role=\"img\" viewBox=\"-0.5 -0.5 {} {}\" aria-label=\"{label}\"><title>{label}</title>{}\
          <g transform=\"translate({} {}) scale({})\">{}</g><rect class=\"dim\" x=\"-0.5\" y=\"-0.5\" width=\"{}\" height=\"{}\"/>{lines}{dots}</svg>",
         Attr(total),
         Attr(h),
-        r.gallery.draw(name),
+        gallery.draw(names[0]),
         Attr(right + 0.5 * scale - 0.5),
         Attr(0.5 * scale - 0.5),
         fixed(scale, 6),
-        r.gallery.draw("target"),
+        gallery.draw(names[1]),
         Attr(total),
         Attr(h)
     );
-    (svg, n)
+    Some((svg, n))
 }

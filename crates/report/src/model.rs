@@ -2,7 +2,7 @@
 
 use crate::picture::Gallery;
 use crate::timeline::Timeline;
-use scopeservo_servo::Verdict;
+use scopeservo_servo::{Calibration, Verdict};
 use serde::{Deserialize, Serialize};
 
 /// All that the parts of the page read.
@@ -91,6 +91,35 @@ pub struct TrueCalibration {
     pub eta_mm: [f64; 2],
 }
 
+/// What a report that is not of a run back to a view tells of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Work {
+    /// A calibration of one or more objectives.
+    Calibration,
+    /// A focus.
+    Focus,
+}
+
+/// Why such work failed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Failure {
+    /// In a sentence.
+    pub message: String,
+    /// Whether somebody stopped it.
+    pub stopped: bool,
+}
+
+/// How such work ended, beside what happened in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WorkEnd {
+    /// Which.
+    pub work: Work,
+    /// Why it failed; `None` where it did what it should.
+    pub failed: Option<Failure>,
+    /// The calibrations that were in use before, each with when it was made.
+    pub before: Vec<(String, Calibration)>,
+}
+
 /// When a view counts as arrived, for drawing it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Convergence {
@@ -115,6 +144,8 @@ pub struct Context {
     pub seed: Option<u64>,
     /// Version of the program.
     pub version: String,
+    /// Whether the instrument was a simulated one.
+    pub simulated: bool,
     /// Whether the instrument's clock was a simulated one.
     pub virtual_time: bool,
     /// How long the program ran.

@@ -27,16 +27,6 @@ pub fn html(recorder: &Recorder, truth: Option<&Truth>, context: &Context) -> St
         "" => "A repositioning run",
         title => title,
     };
-    let mut out = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
-         <meta name=\"color-scheme\" content=\"light dark\"/>\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'\"/>\n\
-         <title>{}: {}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n",
-        escape(verdict_word(&report.timeline)),
-        escape(title)
-    );
-    out.push_str(&summary::section(&report, title));
     let parts = [
         ("The way there", views::section(&report)),
         ("What was recognised", matches::section(&report)),
@@ -45,6 +35,29 @@ pub fn html(recorder: &Recorder, truth: Option<&Truth>, context: &Context) -> St
         ("Where the time went", provenance::time(&report)),
         ("How this was made", provenance::section(&report)),
     ];
+    whole(
+        &format!("{}: {title}", verdict_word(&report.timeline)),
+        &summary::section(&report, title),
+        &parts,
+        &report.gallery,
+    )
+}
+
+/// A page of its head, its parts, each with its heading, and the images that these draw.
+pub(crate) fn whole(
+    title: &str,
+    head: &str,
+    parts: &[(&str, String)],
+    gallery: &Gallery,
+) -> String {
+    let mut out = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
+         <meta name=\"color-scheme\" content=\"light dark\"/>\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'\"/>\n\
+         <title>{}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{head}",
+        escape(title)
+    );
     for (i, (heading, body)) in parts.iter().enumerate() {
         let _ = write!(
             out,
@@ -52,7 +65,7 @@ pub fn html(recorder: &Recorder, truth: Option<&Truth>, context: &Context) -> St
         );
     }
     out.push_str("</main>\n");
-    out.push_str(&report.gallery.embed());
+    out.push_str(&gallery.embed());
     out.push_str("</body>\n</html>\n");
     out
 }

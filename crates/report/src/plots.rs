@@ -274,7 +274,7 @@ fn convergence_caption(r: &Report<'_>, lambda: Option<f64>) -> String {
 }
 
 /// A panel in which one micrometre is as long in both directions.
-fn equal_panel(x: Scale, y: Scale, width: f64, height: f64) -> Panel {
+pub(crate) fn equal_panel(x: Scale, y: Scale, width: f64, height: f64) -> Panel {
     let per_unit = ((x.max - x.min) / width).max((y.max - y.min) / height);
     let around = |s: Scale, units: f64| {
         let middle = (s.min + s.max) / 2.0;

@@ -65,8 +65,8 @@ pub(crate) fn time(r: &Report<'_>) -> String {
             .filter(|s| s.phase == phase)
             .map(|s| s.to_s - s.from_s)
             .sum();
-        // Only somebody who turns a nosepiece by hand is checked.
-        if phase == Phase::Identify && sum == 0.0 {
+        // Only somebody who turns a nosepiece by hand is checked, and a calibration has no servo.
+        if sum == 0.0 {
             continue;
         }
         let _ = writeln!(
@@ -116,6 +116,11 @@ pub(crate) fn section(r: &Report<'_>) -> String {
         out.push_str(
             "<p>This run was simulated. What is called true on this page was known to the simulation only; the program saw \
              images and stage positions, as on a real microscope.</p>\n",
+        );
+    }
+    if r.truth.is_none() && c.simulated {
+        out.push_str(
+            "<p>The microscope was a simulated one: no instrument and no slide stand behind these numbers.</p>\n",
         );
     }
     out.push_str("<p>This page is complete in itself: it loads nothing and sends nothing.</p>\n");

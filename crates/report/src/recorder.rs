@@ -8,8 +8,11 @@ use std::collections::BTreeMap;
 /// The iterations whose views are shown, as in the paper's Fig. 7; the last one is shown too.
 pub(crate) const SHOWN_ITERATIONS: [usize; 5] = [0, 4, 8, 16, 32];
 
+/// Of calibrations so many views are kept, at most: those of four objectives.
+const CALIBRATION_VIEWS: usize = 160;
+
 /// Collects events and the few frames a report shows. Memory is bounded: at most six compressed views per magnification,
-/// and four frames as they came.
+/// four frames as they came, and where they are asked for the newest compressed views of calibrations.
 #[derive(Debug, Clone, Default)]
 pub struct Recorder {
     events: Vec<Stamped>,
@@ -20,12 +23,24 @@ pub struct Recorder {
     /// The newest view of the servo.
     view: Option<(u64, ObjectiveId, Picture)>,
     sharpest: Option<(f64, Picture)>,
+    /// Views of calibrations, where they are to be kept.
+    calibration: Option<BTreeMap<u64, Jpeg>>,
 }
 
 impl Recorder {
     /// An empty one.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// From now on views of calibrations are kept as well: a report of a calibration shows some of them.
+    pub fn keep_calibration_views(&mut self) {
+        self.calibration.get_or_insert_default();
+    }
+
+    /// A view of a calibration, if it was kept.
+    pub(crate) fn calibration_view(&self, sequence: u64) -> Option<Jpeg> {
+        self.calibration.as_ref()?.get(&sequence).cloned()
     }
 
     /// What happened, in order.
@@ -51,6 +66,11 @@ impl Recorder {
     /// The newest frame of any kind but the target.
     pub(crate) fn newest(&self) -> Option<&Picture> {
         self.newest.as_ref().map(|(_, p)| p)
+    }
+
+    /// Its sequence number.
+    pub(crate) fn newest_sequence(&self) -> Option<u64> {
+        self.newest.as_ref().map(|n| n.0)
     }
 
     /// The sharpest image of the newest focus sweep.
@@ -129,8 +149,16 @@ impl Sink for Recorder {
         };
         if role == FrameRole::Target {
             self.target = Some(picture);
-        } else {
-            self.newest = Some((frame.sequence, picture));
+            return;
         }
+        if let (Some(kept), FrameRole::Calibration) = (&mut self.calibration, role)
+            && let Some(jpeg) = picture.jpeg()
+        {
+            kept.insert(frame.sequence, jpeg);
+            if kept.len() > CALIBRATION_VIEWS {
+                kept.pop_first();
+            }
+        }
+        self.newest = Some((frame.sequence, picture));
     }
 }

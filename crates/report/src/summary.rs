@@ -1,6 +1,6 @@
 //! The top of the page: did it arrive, how far off, how is that known.
 
-use crate::model::{Report, verdict_word, view_name};
+use crate::model::{Context, Report, verdict_word, view_name};
 use crate::picture::aim;
 use crate::svg::{Attr, Canvas, Key, Mark, Panel, Scale, nice_step};
 use crate::text::{deg, escape, fixed, seconds, short, um};
@@ -8,42 +8,37 @@ use crate::timeline::outline;
 use scopeservo_servo::Verdict;
 use std::fmt::Write as _;
 
+/// How answers look: a class of the style and the path of an icon.
+pub(crate) const DONE: (&str, &str) = ("arrived", "M9 20.5l7 7L31 12.5");
+pub(crate) const REFUSED: (&str, &str) = ("refused", "M12 12l16 16M28 12l-16 16");
+pub(crate) const UNFINISHED: (&str, &str) = ("unfinished", "M12 20h.2M20 20h.2M28 20h.2");
+
 pub(crate) fn section(r: &Report<'_>, title: &str) -> String {
     let outcome = r.timeline.outcome;
     let (class, icon) = match outcome.map(|o| o.verdict) {
-        Some(Verdict::Arrived) => ("arrived", "M9 20.5l7 7L31 12.5"),
+        Some(Verdict::Arrived) => DONE,
         Some(Verdict::NotFound) => (
             "lost",
             "M14 15a6 6 0 1 1 8.5 5.5c-2 1-2.5 2-2.5 4.500M20 30.500v.2",
         ),
-        Some(Verdict::Refused) => ("refused", "M12 12l16 16M28 12l-16 16"),
+        Some(Verdict::Refused) => REFUSED,
         // Two that look the same.
         Some(Verdict::Ambiguous) => (
             "refused",
             "M9 20a5 5 0 1 0 10 0a5 5 0 1 0-10 0M21 20a5 5 0 1 0 10 0a5 5 0 1 0-10 0",
         ),
-        None => ("unfinished", "M12 20h.2M20 20h.2M28 20h.2"),
+        None => UNFINISHED,
     };
     let message = outcome.map_or_else(
         || "The record of this run ends before an answer was given.".into(),
         |o| sentence(&o.message),
     );
-    let about: Vec<_> = [&r.context.specimen, &r.context.instrument]
-        .into_iter()
-        .filter(|t| !t.is_empty())
-        .map(|t| escape(t))
-        .collect();
-    let mut out = format!(
-        "<header class=\"{class}\">\n<p class=\"over\">{}</p>\n<div class=\"verdict\">\
-         <svg class=\"icon\" viewBox=\"0 0 40 40\" aria-hidden=\"true\"><circle cx=\"20\" cy=\"20\" r=\"19\"/><path d=\"{icon}\"/></svg>\
-         <h1>{}</h1></div>\n<p class=\"message\">{}</p>\n",
-        escape(title),
-        verdict_word(&r.timeline),
-        escape(&message),
+    let mut out = head(
+        r.context,
+        title,
+        (class, icon),
+        [verdict_word(&r.timeline), &message],
     );
-    if !about.is_empty() {
-        let _ = writeln!(out, "<p class=\"about\">{}</p>", about.join(" · "));
-    }
     out.push_str(&numbers(r));
     out.push_str(&known(r));
     out.push_str("</header>\n");
@@ -51,8 +46,38 @@ pub(crate) fn section(r: &Report<'_>, title: &str) -> String {
     out
 }
 
+/// The beginning of a page's header, up to what it is about: how it looks, the answer in a word, and the answer in a sentence.
+pub(crate) fn head(
+    context: &Context,
+    title: &str,
+    (class, icon): (&str, &str),
+    [word, message]: [&str; 2],
+) -> String {
+    let told = context.instrument.contains("simulated");
+    let simulated = match context.simulated && !told {
+        true => "simulated microscope",
+        false => "",
+    };
+    let about: Vec<_> = [&*context.specimen, &context.instrument, simulated]
+        .into_iter()
+        .filter(|t| !t.is_empty())
+        .map(escape)
+        .collect();
+    let mut out = format!(
+        "<header class=\"{class}\">\n<p class=\"over\">{}</p>\n<div class=\"verdict\">\
+         <svg class=\"icon\" viewBox=\"0 0 40 40\" aria-hidden=\"true\"><circle cx=\"20\" cy=\"20\" r=\"19\"/><path d=\"{icon}\"/></svg>\
+         <h1>{word}</h1></div>\n<p class=\"message\">{}</p>\n",
+        escape(title),
+        escape(message),
+    );
+    if !about.is_empty() {
+        let _ = writeln!(out, "<p class=\"about\">{}</p>", about.join(" · "));
+    }
+    out
+}
+
 /// With a capital letter and a full stop.
-fn sentence(text: &str) -> String {
+pub(crate) fn sentence(text: &str) -> String {
     let mut chars = text.chars();
     let first = chars.next().map(|c| c.to_uppercase().to_string());
     let mut out = first.unwrap_or_default() + chars.as_str();

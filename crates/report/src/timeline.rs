@@ -3,7 +3,8 @@
 use scopeservo_geometry::{Affine2, Vec2};
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{
-    Calibration, Event, FocusResult, FrameRole, Outcome, Phase, PoseError, Stamped, Velocity,
+    Calibration, ChainPlace, ChainView, Event, FocusResult, FrameRole, Outcome, Phase, PoseError,
+    Stamped, Velocity,
 };
 
 /// One frame of the servo in which the target was seen.
@@ -58,10 +59,30 @@ pub(crate) struct Sweep<'a> {
     pub(crate) result: Option<&'a FocusResult>,
 }
 
+/// One view of a chain of views.
+pub(crate) struct Look<'a> {
+    /// How many views before it.
+    pub(crate) index: usize,
+    /// Whether it was recognised in an earlier one.
+    pub(crate) found: bool,
+    pub(crate) chain: &'a ChainView,
+}
+
+/// Where a chain's views lie, and which were registered to which.
+#[derive(Clone, Copy)]
+pub(crate) struct Ended<'a> {
+    pub(crate) places: &'a [ChainPlace],
+    pub(crate) pairs: &'a [[usize; 2]],
+    pub(crate) left_out: &'a [usize],
+}
+
 /// One calibration.
 pub(crate) struct Calibrating<'a> {
     pub(crate) objective: &'a ObjectiveId,
     pub(crate) shifts_px: Vec<Option<[f64; 2]>>,
+    /// Of a joint calibration.
+    pub(crate) looks: Vec<Look<'a>>,
+    pub(crate) ended: Option<Ended<'a>>,
     /// With its residual in pixels and the views used.
     pub(crate) made: Option<(&'a Calibration, f64, usize)>,
 }
@@ -85,6 +106,8 @@ pub(crate) struct Timeline<'a> {
     pub(crate) calibrations: Vec<Calibrating<'a>>,
     pub(crate) magnifications: Vec<Magnification<'a>>,
     pub(crate) outcome: Option<&'a Outcome>,
+    /// The objective of the last frame.
+    active: Option<&'a ObjectiveId>,
     pub(crate) frames: usize,
     pub(crate) duration_s: f64,
 }
@@ -127,7 +150,10 @@ impl<'a> Timeline<'a> {
             Event::PhaseStarted { phase, objective } => {
                 self.phase(*phase, objective, stamped.time_s);
             }
-            Event::FrameGrabbed { role, .. } => {
+            Event::FrameGrabbed {
+                role, objective, ..
+            } => {
+                self.active = Some(objective);
                 self.frames += usize::from(*role != FrameRole::Target);
             }
             Event::FocusSample { z_um, sharpness } => {
@@ -140,17 +166,8 @@ impl<'a> Timeline<'a> {
             | Event::SteppedAside { .. }
             | Event::Blurred { .. }
             | Event::ShadowsFound { .. } => {}
-            Event::CalibrationView { shift_px, .. } => {
-                if let Some(c) = self.calibrations.last_mut() {
-                    c.shifts_px.push(*shift_px);
-                }
-            }
-            Event::Calibrated {
-                calibration,
-                residual_px,
-                views,
-            } => {
-                self.calibrated(calibration, *residual_px, *views);
+            Event::CalibrationView { .. } | Event::ChainEnded { .. } | Event::Calibrated { .. } => {
+                self.calibrates(&stamped.event)
             }
             Event::Iteration {
                 objective,
@@ -191,6 +208,49 @@ impl<'a> Timeline<'a> {
         }
     }
 
+    /// What a calibration tells.
+    fn calibrates(&mut self, event: &'a Event) {
+        match event {
+            Event::CalibrationView {
+                index,
+                shift_px,
+                chain,
+                ..
+            } => {
+                if let Some(c) = self.calibrating() {
+                    c.shifts_px.push(*shift_px);
+                    c.looks.extend(chain.as_deref().map(|chain| Look {
+                        index: *index,
+                        found: shift_px.is_some(),
+                        chain,
+                    }));
+                }
+            }
+            Event::ChainEnded {
+                places,
+                pairs,
+                left_out,
+                ..
+            } => {
+                if let Some(c) = self.calibrations.last_mut() {
+                    c.ended = Some(Ended {
+                        places,
+                        pairs,
+                        left_out,
+                    });
+                }
+            }
+            Event::Calibrated {
+                calibration,
+                residual_px,
+                views,
+            } => {
+                self.calibrated(calibration, *residual_px, *views);
+            }
+            _ => {}
+        }
+    }
+
     fn calibrated(&mut self, calibration: &'a Calibration, residual_px: f64, views: usize) {
         let made = Some((calibration, residual_px, views));
         match self.calibrations.last_mut() {
@@ -200,6 +260,8 @@ impl<'a> Timeline<'a> {
             _ => self.calibrations.push(Calibrating {
                 objective: &calibration.objective,
                 shifts_px: Vec::new(),
+                looks: Vec::new(),
+                ended: None,
                 made,
             }),
         }
@@ -230,6 +292,8 @@ impl<'a> Timeline<'a> {
             Phase::Calibrate => self.calibrations.push(Calibrating {
                 objective,
                 shifts_px: Vec::new(),
+                looks: Vec::new(),
+                ended: None,
                 made: None,
             }),
             Phase::Servo => {
@@ -242,6 +306,20 @@ impl<'a> Timeline<'a> {
                 });
             }
         }
+    }
+
+    /// The calibration under way; a timeline whose beginning is missing opens one.
+    fn calibrating(&mut self) -> Option<&mut Calibrating<'a>> {
+        if self.calibrations.last().is_none_or(|c| c.made.is_some()) {
+            self.calibrations.push(Calibrating {
+                objective: self.active?,
+                shifts_px: Vec::new(),
+                looks: Vec::new(),
+                ended: None,
+                made: None,
+            });
+        }
+        self.calibrations.last_mut()
     }
 
     /// The sweep under way; a timeline whose beginning is missing opens one.

@@ -13,7 +13,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
         return "<p class=\"none\">The run ended before the stage was servoed, so there is no way to show.</p>\n".into();
     }
     let mut out = String::from(
-        "<p class=\"lead\">At each magnification the stage takes away a fixed share of the measured error in every iteration. \
+        "<p class=\"lead\">In every iteration the stage takes away a share of the measured error, with direct control all of it. \
          The dashed frame is the saved view as recognised in the present one; the cross is the middle of the image.</p>\n",
     );
     for m in &r.timeline.magnifications {

@@ -1,6 +1,6 @@
 //! What can go wrong with an instrument, with what the next layer needs to go on.
 
-use crate::{Axis, Breach, ObjectiveId, StagePose};
+use crate::{Axis, Breach, Immersion, ImmersionChange, ObjectiveId, StagePose};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -87,6 +87,16 @@ pub enum ScopeError {
         at_um: f64,
         /// Where it must be, um.
         needed_um: f64,
+    },
+    /// The objective that was asked for works in another medium than may be on the specimen, and nobody agreed to that. Nothing moved.
+    #[error(
+        "the objective was not changed: {} works in {}, and on the specimen there is {}; nothing goes from one to the other unasked, and \
+         nothing moved. Make the specimen ready for {}, and agree to this change",
+        change.objective, change.to, change.from_words(), change.to
+    )]
+    ImmersionNotAgreed {
+        /// What is to be agreed to.
+        change: ImmersionChange,
     },
     /// The stage has no such axis. Nothing moved.
     #[error("the stage has no {axis} axis; nothing moved")]
@@ -259,6 +269,11 @@ pub enum Remedy {
     Home,
     /// Move the stage back to where it may stand.
     BringBack,
+    /// Make the specimen ready for an objective that works in another medium, and agree to the change.
+    AgreeToImmersion {
+        /// What it works in.
+        to: Immersion,
+    },
     /// Focus near the height from before the change.
     FocusNear {
         /// With this objective.
@@ -286,6 +301,7 @@ impl ScopeError {
         match self {
             Self::NotHomed { .. } => Some(Remedy::Home),
             Self::StandsOutside { .. } | Self::Strayed { .. } => Some(Remedy::BringBack),
+            Self::ImmersionNotAgreed { change } => Some(Remedy::AgreeToImmersion { to: change.to }),
             Self::ChangeEnded {
                 asked,
                 retracted_from_um: Some(z_um),
@@ -305,6 +321,7 @@ impl ScopeError {
             | Self::TooClose { .. }
             | Self::StepTooLarge { .. }
             | Self::NotRetracted { .. }
+            | Self::ImmersionNotAgreed { .. }
             | Self::NoSuchAxis { .. }
             | Self::NotFinite { .. }
             | Self::BadSetting { .. }

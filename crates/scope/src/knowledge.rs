@@ -1,8 +1,8 @@
 //! What an instrument has learnt beside what its devices tell: whether images bear out which objective is active, and where each
 //! objective was last in focus.
 
-use crate::{KnownBy, Length, ObjectiveId};
-use std::collections::BTreeMap;
+use crate::{Immersion, ImmersionChange, KnownBy, Length, ObjectiveId};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Of one instrument, whatever its nosepiece.
@@ -11,6 +11,26 @@ pub(crate) struct Knowledge {
     known_by: KnownBy,
     objective: Mutex<Objective>,
     focus: Mutex<BTreeMap<ObjectiveId, Length>>,
+    parfocal: Mutex<Parfocal>,
+    medium: Mutex<Medium>,
+}
+
+/// How high objectives focus beside each other, from an earlier session, whose specimen lay at another height.
+#[derive(Debug, Default)]
+pub(crate) struct Parfocal {
+    /// The height of the second less that of the first.
+    pub(crate) offsets: BTreeMap<[ObjectiveId; 2], Length>,
+    /// The objective that was focused last: offsets count from there.
+    pub(crate) last: Option<ObjectiveId>,
+}
+
+/// What is on the specimen, beside what the active objective works in.
+#[derive(Debug, Default)]
+struct Medium {
+    /// What it was made ready for since an objective came in.
+    made_ready: BTreeSet<Immersion>,
+    /// The change that somebody agreed to last, until one begins.
+    agreed: Option<ImmersionChange>,
 }
 
 /// What images have shown of the objective that the nosepiece reports.
@@ -29,6 +49,8 @@ impl Knowledge {
             known_by,
             objective: Mutex::default(),
             focus: Mutex::default(),
+            parfocal: Mutex::default(),
+            medium: Mutex::default(),
         }
     }
 
@@ -64,6 +86,7 @@ impl Knowledge {
 
     /// A change was begun.
     pub(crate) fn change_begun(&self) {
+        self.medium().agreed = None;
         let mut objective = self.objective();
         objective.changing = true;
         objective.contradicted = false;
@@ -75,10 +98,39 @@ impl Knowledge {
     /// A change ended, at its goal or on its way.
     pub(crate) fn change_ended(&self, arrived: bool) {
         let mut objective = self.objective();
-        if std::mem::take(&mut objective.changing) && !arrived {
-            // What was counted may have run on uncounted.
-            objective.confirmed = false;
+        if !std::mem::take(&mut objective.changing) {
+            return;
         }
+        match arrived {
+            true => self.medium().made_ready.clear(),
+            // What was counted may have run on uncounted.
+            false => objective.confirmed = false,
+        }
+    }
+
+    fn medium(&self) -> MutexGuard<'_, Medium> {
+        self.medium.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Somebody has made the specimen ready for this change.
+    pub(crate) fn agree(&self, change: &ImmersionChange) {
+        let mut medium = self.medium();
+        medium.made_ready.insert(change.to);
+        medium.agreed = Some(change.clone());
+    }
+
+    /// The change that may begin.
+    pub(crate) fn agreed(&self) -> Option<ImmersionChange> {
+        self.medium().agreed.clone()
+    }
+
+    /// What the specimen was made ready for without that objective having come.
+    pub(crate) fn made_ready(&self) -> BTreeSet<Immersion> {
+        self.medium().made_ready.clone()
+    }
+
+    pub(crate) fn parfocal(&self) -> MutexGuard<'_, Parfocal> {
+        self.parfocal.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Where each objective was last in focus.

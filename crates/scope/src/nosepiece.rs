@@ -1,7 +1,8 @@
 //! The nosepiece: which objectives there are and which one looks at the specimen.
 
-use crate::{Motion, ObjectiveId, ScopeError};
+use crate::{Immersion, Motion, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// What is engraved on an objective, and what the maker's data sheet says of the image it gives here.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -14,6 +15,9 @@ pub struct Objective {
     pub numerical_aperture: f64,
     /// Nominal size of one camera pixel on the specimen, um. Plans the first calibration moves; measured afterwards.
     pub nominal_um_per_px: f64,
+    /// What it works in.
+    #[serde(default, skip_serializing_if = "Immersion::is_air")]
+    pub immersion: Immersion,
 }
 
 impl Objective {
@@ -68,5 +72,55 @@ pub trait Nosepiece: Send + Sync {
     /// instrument keeps what images have shown.
     fn known_by(&self) -> KnownBy {
         KnownBy::Sensor
+    }
+}
+
+/// Orders objectives so that the medium changes least often: those that work in what is there now first, then medium by medium, each
+/// from the lowest magnification up. `of` tells an item's objective.
+pub fn by_immersion<T>(items: &mut [T], now: Option<Immersion>, of: impl Fn(&T) -> &Objective) {
+    let lowest = |medium: Immersion| {
+        let all = items.iter().map(&of).filter(|o| o.immersion == medium);
+        all.map(|o| o.magnification).fold(f64::INFINITY, f64::min)
+    };
+    let media: BTreeSet<Immersion> = items.iter().map(|i| of(i).immersion).collect();
+    let mut media: Vec<(bool, f64, Immersion)> = media
+        .into_iter()
+        .map(|m| (Some(m) != now, lowest(m), m))
+        .collect();
+    media.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let rank = |o: &Objective| media.iter().position(|(_, _, m)| *m == o.immersion);
+    items.sort_by(|a, b| {
+        let (a, b) = (of(a), of(b));
+        let by_medium = rank(a).cmp(&rank(b));
+        by_medium.then(a.magnification.total_cmp(&b.magnification))
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn objectives_are_ordered_so_that_the_medium_changes_least_often() {
+        let objective = |id: &str, magnification: f64, immersion| Objective {
+            id: ObjectiveId(id.into()),
+            magnification,
+            numerical_aperture: 0.25,
+            nominal_um_per_px: 1.0,
+            immersion,
+        };
+        let mut all = [
+            objective("100x", 100.0, Immersion::Oil),
+            objective("63x", 63.0, Immersion::Air),
+            objective("40x", 40.0, Immersion::Oil),
+            objective("10x", 10.0, Immersion::Air),
+        ];
+        let names = |all: &[Objective]| all.iter().map(|o| o.id.0.clone()).collect::<Vec<_>>();
+        for now in [None, Some(Immersion::Air), Some(Immersion::Water)] {
+            by_immersion(&mut all, now, |o| o);
+            assert_eq!(names(&all), ["10x", "63x", "40x", "100x"]);
+        }
+        by_immersion(&mut all, Some(Immersion::Oil), |o| o);
+        assert_eq!(names(&all), ["40x", "100x", "10x", "63x"]);
     }
 }

@@ -4,10 +4,12 @@ mod recorder;
 
 use recorder::{Devices, Fault, LIMIT, NARROW_X, RETRACTED, TRAVEL, Ticking, id, pose, rules, z};
 use scopeservo_scope::{
-    Axis, CancelToken, ChangeRule, KnownBy, Limits, Motion, MotionGate, Nosepiece, Objective,
-    ObjectiveId, Rules, ScopeError, StagePose, VirtualClock, Workspace,
+    Axis, CancelToken, ChangeRule, ErrorKind, Immersion, ImmersionChange, Instrument, KnownBy,
+    Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId, Rules, ScopeError, StagePose,
+    VirtualClock, Workspace,
 };
-use std::sync::Arc;
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex};
 
 #[test]
 fn a_place_within_the_slack_is_inside_for_the_objective_that_comes_and_goals_are_judged_to_the_last_bit()
@@ -208,7 +210,9 @@ impl Nosepiece for Hearsay {
 
 #[test]
 fn until_a_picture_shows_the_objective_the_rules_of_all_hold() {
-    let devices = Devices::new();
+    let mut devices = Devices::new();
+    // Those that work in air.
+    devices.objectives.truncate(2);
     let hearsay = Hearsay(devices.clone());
     let gate = MotionGate::new(Box::new(devices.clone()), Box::new(hearsay), rules()).unwrap();
     assert_eq!(gate.current_objective(), Ok(Some(id("10x"))));
@@ -262,4 +266,142 @@ fn rules_that_make_no_sense_are_refused() {
         let said = answer.err().expect(word).to_string();
         assert!(said.contains(word), "{word}: {said}");
     }
+}
+
+/// An instrument whose medium on the specimen somebody changes who answers like this, and how often that was asked.
+fn asked(devices: &Devices, yes: bool) -> (Instrument, Arc<Mutex<Vec<ImmersionChange>>>) {
+    let clock = Arc::new(Ticking {
+        clock: VirtualClock::new(),
+        devices: devices.clone(),
+    });
+    let heard: Arc<Mutex<Vec<ImmersionChange>>> = Arc::default();
+    let (ears, world) = (heard.clone(), devices.clone());
+    let scope = devices
+        .instrument(rules(), clock, CancelToken::new())
+        .asking_before_immersion(Arc::new(move |change, _| {
+            ears.lock().unwrap().push(change.clone());
+            if yes {
+                world.world().medium = change.to;
+            }
+            yes
+        }));
+    (scope, heard)
+}
+
+#[test]
+fn nothing_goes_between_oil_and_dry_unasked_and_one_answer_is_for_one_change() {
+    let devices = Devices::new();
+    let (scope, heard) = asked(&devices, true);
+    let times = || heard.lock().unwrap().len();
+    // Dry to dry: nobody is asked. Then into oil, and out again: each time.
+    for (to, asked) in [("40x", 0), ("60x", 1), ("60x", 1), ("10x", 2), ("60x", 3)] {
+        scope.select_objective(&id(to)).unwrap();
+        assert_eq!(times(), asked, "{to}");
+    }
+    let (first, second) = {
+        let heard = heard.lock().unwrap();
+        (heard[0].clone(), heard[1].clone())
+    };
+    assert_eq!(first.from, BTreeSet::from([Immersion::Air]));
+    assert_eq!((first.to, second.to), (Immersion::Oil, Immersion::Air));
+    assert_eq!(second.from, BTreeSet::from([Immersion::Oil]));
+    // Whoever asks the gate itself is refused, whatever was agreed to before.
+    let refused = scope.gate().start_change(&id("10x"));
+    assert!(
+        matches!(refused, Err(ScopeError::ImmersionNotAgreed { .. })),
+        "{refused:?}"
+    );
+    let broken = devices.world().broken.clone();
+    assert!(broken.is_empty(), "{broken:?}");
+}
+
+#[test]
+fn who_says_no_to_another_medium_or_is_not_there_moves_nothing() {
+    let devices = Devices::new();
+    let (says_no, heard) = asked(&devices, false);
+    let clock = Arc::new(VirtualClock::new());
+    let nobody = devices.instrument(rules(), clock, CancelToken::new());
+    devices.world().at[2] = 1e-3;
+    for scope in [&says_no, &nobody] {
+        let begun = devices.world().begun;
+        let refused = scope.select_objective(&id("60x")).unwrap_err();
+        let ScopeError::ImmersionNotAgreed { change } = &refused else {
+            panic!("{refused}");
+        };
+        assert_eq!(
+            (change.to, refused.kind()),
+            (Immersion::Oil, ErrorKind::Refused)
+        );
+        let said = refused.to_string();
+        assert!(
+            said.contains("60x works in oil, and on the specimen there is air"),
+            "{said}"
+        );
+        // Not even away from the specimen.
+        assert_eq!(devices.world().begun, begun);
+    }
+    assert_eq!(heard.lock().unwrap().len(), 1);
+}
+
+#[test]
+fn what_the_specimen_was_made_ready_for_counts_until_that_objective_is_in() {
+    let devices = Devices::new();
+    let gate = devices.gate(rules());
+    let settle = || (0..8).for_each(|_| devices.world().tick());
+    let change = gate.immersion_change(&id("60x")).unwrap().unwrap();
+    devices.world().medium = Immersion::Oil;
+    gate.agree_to_immersion(&change);
+    // There is oil under a dry objective now: another dry one may not come.
+    let both = BTreeSet::from([Immersion::Air, Immersion::Oil]);
+    let dry = gate.start_change(&id("40x"));
+    assert!(
+        matches!(&dry, Err(ScopeError::ImmersionNotAgreed { change }) if change.from == both),
+        "{dry:?}"
+    );
+    // Stopped on the way: which objective is in is not known, and nothing comes unasked, the same one included.
+    gate.start_change(&id("60x")).unwrap();
+    gate.stop().unwrap();
+    settle();
+    for to in ["10x", "40x", "60x"] {
+        let again = gate.immersion_change(&id(to)).unwrap().unwrap();
+        assert_eq!(again.from, both, "{to}");
+    }
+    let change = gate.immersion_change(&id("60x")).unwrap().unwrap();
+    gate.agree_to_immersion(&change);
+    gate.start_change(&id("60x")).unwrap();
+    settle();
+    assert_eq!(gate.poll_nosepiece(), Ok(Motion::Settled));
+    assert_eq!(gate.immersions(), Ok(BTreeSet::from([Immersion::Oil])));
+    let broken = devices.world().broken.clone();
+    assert!(broken.is_empty(), "{broken:?}");
+}
+
+/// A nosepiece that names an objective that it does not list.
+struct Unlisted(Devices);
+
+impl Nosepiece for Unlisted {
+    fn objectives(&self) -> &[Objective] {
+        self.0.objectives()
+    }
+    fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
+        Ok(Some(id("5x")))
+    }
+    fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
+        self.0.start_change(to)
+    }
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        Nosepiece::poll(&self.0)
+    }
+    fn stop(&self) -> Result<(), ScopeError> {
+        Nosepiece::stop(&self.0)
+    }
+}
+
+#[test]
+fn an_objective_that_the_nosepiece_does_not_list_may_work_in_anything() {
+    let devices = Devices::new();
+    let nosepiece = Box::new(Unlisted(devices.clone()));
+    let gate = MotionGate::new(Box::new(devices), nosepiece, rules()).unwrap();
+    let both = BTreeSet::from([Immersion::Air, Immersion::Oil]);
+    assert_eq!(gate.immersions(), Ok(both));
 }

@@ -9,8 +9,8 @@ use recorder::{
     Ticking, id, pose, rules, z,
 };
 use scopeservo_scope::{
-    Axis, CancelToken, ChangeRule, ErrorKind, GateEvent, Length, MotionGate, Nosepiece, ScopeError,
-    Stage, StagePose, VirtualClock,
+    Axis, CancelToken, ChangeRule, ErrorKind, GateEvent, Length, MotionGate, Nosepiece,
+    ObjectiveId, ScopeError, Stage, StagePose, VirtualClock,
 };
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
@@ -19,6 +19,8 @@ use std::time::Duration;
 enum Command {
     Move([Option<f64>; 3]),
     Change(&'static str),
+    /// Somebody makes the specimen ready for an objective, and agrees.
+    Agree(&'static str),
     Stop,
     Wait(u32),
     /// Waits until the stage says that it stands, and asks whether it arrived.
@@ -65,7 +67,8 @@ fn command() -> impl Strategy<Value = Command> {
     prop_oneof![
         8 => [place(), place(), place()].prop_map(Command::Move),
         2 => Just(Command::Move([None, None, Some(RETRACTED)])),
-        4 => prop::sample::select(vec!["10x", "40x", "100x"]).prop_map(Command::Change),
+        5 => prop::sample::select(vec!["10x", "40x", "60x", "100x"]).prop_map(Command::Change),
+        2 => prop::sample::select(vec!["10x", "40x", "60x", "100x"]).prop_map(Command::Agree),
         2 => Just(Command::Stop),
         6 => (1u32..9).prop_map(Command::Wait),
         4 => Just(Command::Arrive),
@@ -115,6 +118,13 @@ fn obey(gate: &MotionGate, devices: &Devices, command: &Command) {
             gate.start_move(&to)
         }
         Command::Change(to) => gate.start_change(&id(to)),
+        Command::Agree(to) => {
+            if let Ok(Some(change)) = gate.immersion_change(&id(to)) {
+                devices.world().medium = change.to;
+                gate.agree_to_immersion(&change);
+            }
+            return;
+        }
         Command::Stop => {
             gate.stop().unwrap();
             let world = devices.world();
@@ -180,6 +190,7 @@ fn the_recorder_would_notice() {
     settle();
     stage.start_move(&pose([0.0, 0.0, 5e-3])).unwrap();
     settle();
+    Nosepiece::start_change(&devices, &id("60x")).unwrap();
     let broken = devices.world().broken.join("; ");
     for rule in [
         "x at",
@@ -188,6 +199,7 @@ fn the_recorder_would_notice() {
         "turns at",
         "a step",
         "own limits",
+        "comes into air",
     ] {
         assert!(broken.contains(rule), "{rule}: {broken}");
     }
@@ -363,4 +375,54 @@ fn after_a_change_it_comes_back_in_allowed_steps_and_short_of_an_unknown_focus()
         "{:?}",
         devices.world().broken
     );
+}
+
+/// 10x is focused on a slide that is 200 um thicker, 40x was focused on the one before.
+#[test]
+fn a_thicker_slide_that_one_objective_was_focused_on_lifts_the_others() {
+    let devices = Devices::new();
+    let clock = Arc::new(VirtualClock::new());
+    let scope = devices.instrument(rules(), clock, CancelToken::new());
+    let side = scope.gate().info().positive_z;
+    let found = |name: &str, um: f64| scope.focus_found(&id(name), Length::from_um(um));
+    let at = |name: &str| scope.focus_positions()[&id(name)].m();
+    let up = |um: f64| side.away(0.0, um * 1e-6) * 1e6;
+    found("10x", 0.0);
+    found("40x", up(5.0));
+    found("10x", up(200.0));
+    assert!((at("40x") - up(205.0) * 1e-6).abs() < 1e-12);
+    // Nearer again: nobody knows where 40x is now, and it stays as far.
+    found("10x", up(-50.0));
+    assert!((at("40x") - up(205.0) * 1e-6).abs() < 1e-12);
+    // What scatters lifts nothing, however often.
+    found("40x", up(-45.0));
+    (0..100).for_each(|k| found("10x", up(if k % 2 == 0 { -45.0 } else { -50.0 })));
+    assert!((at("40x") - up(-45.0) * 1e-6).abs() < 1e-12);
+}
+
+#[test]
+fn what_an_earlier_session_knew_of_heights_counts_from_the_objective_that_was_focused_last() {
+    let devices = Devices::new();
+    let clock = Arc::new(VirtualClock::new());
+    let scope = devices.instrument(rules(), clock, CancelToken::new());
+    let (ten, forty, sixty) = (id("10x"), id("40x"), id("60x"));
+    scope.parfocal_known([&ten, &forty], Length::from_um(30.0));
+    scope.parfocal_known([&ten, &sixty], Length::from_um(-50.0));
+    let predicted = |id: &ObjectiveId| scope.predicted_focus(id).map(|z| z.um().round());
+    // Nothing was focused: a difference says no height.
+    assert_eq!(predicted(&forty), None);
+    scope.focus_found(&ten, Length::from_um(400.0));
+    assert_eq!(
+        (predicted(&forty), predicted(&sixty)),
+        (Some(430.0), Some(350.0))
+    );
+    // Another specimen: what is focused last counts, whatever was known before.
+    scope.focus_found(&forty, Length::from_um(1000.0));
+    assert_eq!(
+        (predicted(&ten), predicted(&sixty)),
+        (Some(970.0), Some(920.0))
+    );
+    assert_eq!(predicted(&id("100x")), None);
+    scope.forget_focus(&forty);
+    assert_eq!(predicted(&ten), None);
 }

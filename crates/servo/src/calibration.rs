@@ -93,6 +93,11 @@ impl Calibration {
         self.stage_from_pixel.det().abs().sqrt() * 1e6
     }
 
+    /// The shorter side of what the camera sees, m on the specimen.
+    pub(crate) fn shorter_side_m(&self) -> f64 {
+        1e-6 * self.um_per_px() * self.image_size_px[0].min(self.image_size_px[1]) as f64
+    }
+
     /// Standard deviation of a number that is read off the map: `g^T C g`, its gradient g by central differences. `None` where it cannot be
     /// read, or the covariance is not known.
     pub fn sigma_of(&self, number: impl Fn(&Self) -> Option<f64>) -> Option<f64> {

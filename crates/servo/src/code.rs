@@ -40,6 +40,8 @@ pub enum ErrorCode {
     GridFailed,
     /// Whether a calibration still holds could not be seen.
     CheckFailed,
+    /// The objective works in another medium than is on the specimen, and nobody agreed to that.
+    Immersion,
     /// The way leads past a rule of the motion gate.
     OutsideLimits,
     /// The instrument does not do it for another reason.
@@ -77,7 +79,7 @@ impl ErrorCode {
             | Self::Ambiguous
             | Self::GridFailed
             | Self::CheckFailed => ErrorKind::Answer,
-            Self::OutsideLimits | Self::Refused => ErrorKind::Refusal,
+            Self::Immersion | Self::OutsideLimits | Self::Refused => ErrorKind::Refusal,
             Self::Interrupted => ErrorKind::Interruption,
             Self::Fault | Self::Internal => ErrorKind::Fault,
         }
@@ -102,7 +104,9 @@ impl ServoError {
             | Self::AxesContradict { .. }
             | Self::AxesDiffer { .. }
             | Self::ViewAstray { .. }
+            | Self::ViewShakes { .. }
             | Self::ObjectivesDisagree { .. }
+            | Self::SwitchingUnclear { .. }
             | Self::CentreUnknown { .. } => ErrorCode::CalibrationFailed,
             Self::ObjectiveUnclear { .. }
             | Self::PictureStays { .. }
@@ -146,6 +150,7 @@ fn scope_code(error: &ScopeError) -> ErrorCode {
         | ScopeError::TooClose { .. }
         | ScopeError::StepTooLarge { .. }
         | ScopeError::NotRetracted { .. } => ErrorCode::OutsideLimits,
+        ScopeError::ImmersionNotAgreed { .. } => ErrorCode::Immersion,
         other => match other.kind() {
             ScopeErrorKind::Refused => ErrorCode::Refused,
             ScopeErrorKind::Interrupted => ErrorCode::Interrupted,

@@ -166,6 +166,17 @@ pub enum ServoError {
         /// How far; `None` where it was not found again.
         off_um: Option<f64>,
     },
+    /// The view moves while the stage stands.
+    #[error(
+        "calibration of {objective} was refused: the view shakes by {um:.1} um while the stage stands. Look for what shakes the table or the \
+         microscope, for a loose slide or camera, and for a stage that does not come to rest"
+    )]
+    ViewShakes {
+        /// The active objective.
+        objective: ObjectiveId,
+        /// Standard deviation, um.
+        um: f64,
+    },
     /// Two objectives of one microscope contradict each other.
     #[error(
         "calibration of {objective} was not kept: it contradicts that of {other}: {what}. {}",
@@ -381,6 +392,18 @@ pub enum ServoError {
         /// The active objective.
         objective: ObjectiveId,
         /// Why a view was not found again.
+        reason: NotFound,
+    },
+    /// Arrivals of two objectives that come in turn were not found in one view.
+    #[error(
+        "how well {to} comes back after {from} could not be seen, because of {reason}. Focus, go to a place with tissue, and try again"
+    )]
+    SwitchingUnclear {
+        /// The objective whose view is the wider one.
+        from: ObjectiveId,
+        /// The other one.
+        to: ObjectiveId,
+        /// Why a view was not found.
         reason: NotFound,
     },
     /// The stage scatters so much that nothing can be said of a calibration.

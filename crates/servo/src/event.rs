@@ -1,5 +1,6 @@
 //! What procedures tell: progress bar, report, replay and resume all read the same events.
 
+use crate::calibrate::told::{ChainPlace, ChainView};
 use crate::{Calibration, FocusResult, Identity, Outcome, PoseError, Velocity};
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::NotFound;
@@ -129,6 +130,20 @@ pub enum Event {
         shift_px: Option<[f64; 2]>,
         /// Inliers.
         inliers: usize,
+        /// What a joint calibration tells of it. Logs of earlier versions do not.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        chain: Option<Box<ChainView>>,
+    },
+    /// A joint calibration has looked for the last time, whatever came of it.
+    ChainEnded {
+        /// The objective.
+        objective: ObjectiveId,
+        /// Where each of its views lies.
+        places: Vec<ChainPlace>,
+        /// Which were registered to each other, by their indices, the earlier first.
+        pairs: Vec<[usize; 2]>,
+        /// Which of these pairs the others contradict.
+        left_out: Vec<usize>,
     },
     /// A calibration was made.
     Calibrated {

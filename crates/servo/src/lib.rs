@@ -40,13 +40,16 @@ mod reposition;
 mod self_test;
 pub mod servo;
 mod small_step;
+mod switching;
 mod target;
 mod trial;
 mod vision;
 mod words;
 
 pub use bring::Bring;
-pub use calibrate::{Calibrate, CalibrateOptions, CalibrationMethod, agree, joint};
+pub use calibrate::{
+    Calibrate, CalibrateOptions, CalibrationMethod, ChainPair, ChainPlace, ChainView, agree, joint,
+};
 pub use calibration::{Backlash, CALIBRATION_SCHEMA, Calibration, EXAMPLE_MOVE, IntrinsicReading};
 pub use code::{ErrorCode, ErrorKind, Remedy};
 pub use error::ServoError;
@@ -60,24 +63,27 @@ pub use hand_eye::{Observation, solve_hand_eye};
 pub use identify::Identify;
 pub use identity::Identity;
 pub use kinematics::{Motion2, PlanarPose, motion_between, pose_after};
-pub use law::{ControlLaw, Proportional, Velocity, control_law, motion_of};
+pub use law::{ControlLaw, Direct, Proportional, Velocity, control_law, motion_of};
 pub use localize::{Expected, FeatureLocalizer, Localizer, Measurement};
 pub use pose::{PoseError, PoseEstimate, pose_error, pose_estimate};
 pub use procedure::{Procedure, Progress, run};
 pub use proof::FixedPlaces;
 pub use reposition::{
     Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Reposition, RepositionOptions,
-    SoFar, Verdict,
+    Shortest, SoFar, Verdict,
 };
 pub use self_test::{
     Broken, Change, Changing, SelfTest, SelfTestReport, SelfTestVerdict, Together, changes_between,
     together,
 };
 pub use servo::Servo;
-pub use servo::end::{ServoEnd, ServoResult};
+pub use servo::contradiction::Contradiction;
+pub use servo::end::{LimitedBy, ServoEnd, ServoResult};
+pub use servo::hand_over::HandOver;
 pub use servo::options::{Law, ServoOptions};
 pub use servo::run::ServoRun;
 pub use servo::task::ServoTask;
+pub use switching::{FocusSwitch, Switching, SwitchingOptions, SwitchingReport};
 pub use target::{InFocus, Picture, SaveOptions, SaveTarget, Taken, Target};
 pub use trial::{Drift, drift_seen, scale_seen};
 pub use vision::VisionOptions;

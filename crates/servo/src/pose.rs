@@ -49,6 +49,12 @@ pub fn pose_error(
     })
 }
 
+/// The angle of a `target_from_view` (radians) whose error has the rotation `theta_rad`: [`pose_error`] backwards.
+pub(crate) fn image_angle(theta_rad: f64, view: &Calibration, target: &Calibration) -> Option<f64> {
+    let linear = target.intrinsic()? * Mat2::rotation(theta_rad) * view.intrinsic()?.inverse()?;
+    linear.rotation_angle()
+}
+
 /// An error and how well it is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseEstimate {
@@ -167,6 +173,8 @@ mod tests {
             assert!((e.t_m[0] - pose.t_m[0]).abs() < 1e-15);
             assert!((e.t_m[1] - pose.t_m[1]).abs() < 1e-15);
             assert!((e.theta_rad - pose.theta_rad).abs() < 1e-12);
+            let angle = image_angle(pose.theta_rad, &view, &view).unwrap();
+            assert!((angle - j.linear.rotation_angle().unwrap()).abs() < 1e-12);
         }
     }
 

@@ -8,6 +8,7 @@ use crate::small_step::{SHARE, directions, place};
 use crate::vision::{centre_px, gray, same_objective};
 use crate::{Identify, Identity, NoSink, ServoError, VisionOptions};
 use scopeservo_features::Features;
+use scopeservo_geometry::Vec2;
 use scopeservo_scope::{Instrument, ObjectiveId};
 use std::time::Duration;
 
@@ -18,6 +19,13 @@ const FIRST_SHARE: f64 = 1.0 / 500.0;
 const SHAKES_PX: f64 = 3.0;
 /// Between the two images of a drift.
 const DRIFT_TIME: Duration = Duration::from_secs(2);
+
+/// Views that show whether it shakes, and how much longer each waits than the one before.
+const SHAKING_VIEWS: u32 = 6;
+const SHAKING_TIME: Duration = Duration::from_millis(37);
+/// What moves by less than this, or by fewer standard deviations, stands.
+const SHAKING_PX: f64 = 1.0;
+const SHAKING_SIGMAS: f64 = 4.0;
 
 /// How fast the view moves while the stage stands.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,19 +54,52 @@ pub fn scale_seen(
     )
 }
 
+/// How far the view goes to and fro while the stage stands: standard deviation of the distance from the mean, px. `None` where the views are
+/// not found in each other, or it is within what their registration knows.
+///
+/// # Errors
+/// What the instrument reports.
+pub(crate) fn shaking_px(
+    scope: &Instrument,
+    vision: &VisionOptions,
+) -> Result<Option<f64>, ServoError> {
+    let first = look(scope, vision)?;
+    let mut seen = vec![([0.0; 2], 0.0)];
+    for more in 1..SHAKING_VIEWS {
+        // Not as regular as what shakes.
+        scope.clock().sleep(SHAKING_TIME * more);
+        if let Some(shift) = shift(&first, &look(scope, vision)?, vision) {
+            seen.push(shift);
+        }
+    }
+    let count = seen.len() as f64;
+    let mean = [0, 1].map(|k| seen.iter().map(|(d, _)| d[k]).sum::<f64>() / count);
+    let square = |d: &Vec2| (d[0] - mean[0]).powi(2) + (d[1] - mean[1]).powi(2);
+    let scatter_px = (seen.iter().map(|(d, _)| square(d)).sum::<f64>() / (count - 1.0)).sqrt();
+    let sigma_px = seen.iter().map(|(_, s)| *s).fold(0.0, f64::max);
+    let shakes = seen.len() > 2 && scatter_px > SHAKING_PX.max(SHAKING_SIGMAS * sigma_px);
+    Ok(shakes.then_some(scatter_px))
+}
+
 fn look(scope: &Instrument, vision: &VisionOptions) -> Result<Features, ServoError> {
     vision.of_view(&gray(scope, &scope.grab()?)?)
 }
 
 /// How far the middle of the image went from one view to another, pixels, and its standard deviation; `None` when it is not found.
 fn shift_px(before: &Features, after: &Features, vision: &VisionOptions) -> Option<(f64, f64)> {
+    let ([x, y], sigma_px) = shift(before, after, vision)?;
+    Some((f64::hypot(x, y), sigma_px))
+}
+
+/// The same along columns and rows.
+fn shift(before: &Features, after: &Features, vision: &VisionOptions) -> Option<(Vec2, f64)> {
     let found = vision
         .register(after, before, &same_objective(0.05))
         .outcome;
     let estimate = found.ok()?;
     let centre = centre_px(before.width, before.height);
-    let [x, y] = estimate.target_from_view.recentred(centre, centre).offset;
-    Some((f64::hypot(x, y), estimate.sigma_px))
+    let offset = estimate.target_from_view.recentred(centre, centre).offset;
+    Some((offset, estimate.sigma_px))
 }
 
 fn first_step(scope: &Instrument, vision: &VisionOptions) -> Result<(), ServoError> {

@@ -5,7 +5,7 @@ mod common;
 use common::{Bench, PLACE_UM, bench, bench_over, one_objective, run_through_json};
 use scopeservo_scope::{Axis, AxisRange, Kinematics};
 use scopeservo_servo::{Reason, Verdict};
-use scopeservo_twin::{Config, StageConfig, StageFault};
+use scopeservo_twin::{AutoExposureConfig, Config, StageConfig, StageFault};
 
 /// Saves a view, puts the slide back 45 um away and turned, and comes back.
 fn come_back(config: Config, turn_deg: f64) -> (Verdict, (f64, f64), String) {
@@ -57,6 +57,21 @@ fn it_arrives_with_a_mirrored_camera() {
     config.mount.mirrored = true;
     config.mount.phi_deg = 31.0;
     assert_arrives(config, 2.0);
+}
+
+#[test]
+fn it_arrives_with_a_cheap_camera_that_rolls_and_exposes_itself() {
+    for settle_s in [0.05, 0.3, 2.0] {
+        let mut config = one_objective();
+        config.camera.rolling = true;
+        config.camera.readout_ms = 30.0;
+        config.camera.auto_exposure = Some(AutoExposureConfig {
+            mean_level: 0.45,
+            settle_s,
+            most: 8.0,
+        });
+        assert_arrives(config, 3.0);
+    }
 }
 
 #[test]

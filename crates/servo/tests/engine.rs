@@ -220,6 +220,7 @@ fn a_localizer_is_one_file() {
             vision: &vision,
             options: &options,
             law: None,
+            hand_overs: &[],
             localizer: Some(&localizer),
         };
         let end = run(&mut Servo::default().on(&task), &bench.scope, &mut sink).unwrap();

@@ -4,18 +4,18 @@ mod common;
 
 use common::{Listener, PLACE_UM, bench, one_objective};
 use scopeservo_servo::{
-    Calibrate, CalibrateOptions, ControlLaw, Event, PoseEstimate, Proportional, Servo, ServoEnd,
-    ServoOptions, ServoTask, Velocity, VisionOptions, run,
+    Calibrate, CalibrateOptions, Calibration, ControlLaw, Event, Law, PoseEstimate, Proportional,
+    Servo, ServoEnd, ServoOptions, ServoTask, Velocity, VisionOptions, run,
 };
 
 /// Halves the error, and takes all of it away when it is near.
 struct NearThenAll;
 
 impl ControlLaw for NearThenAll {
-    fn velocity(&self, estimate: &PoseEstimate) -> Velocity {
+    fn velocity(&self, estimate: &PoseEstimate, view: &Calibration) -> Velocity {
         let near = estimate.error.distance_um() < 10.0;
         let lambda = if near { 1.0 } else { 0.5 };
-        Proportional { lambda }.velocity(estimate)
+        Proportional { lambda }.velocity(estimate, view)
     }
 }
 
@@ -44,6 +44,7 @@ fn a_control_law_is_one_file() {
         vision: &vision,
         options: &options,
         law: Some(&NearThenAll),
+        hand_overs: &[],
         localizer: None,
     };
     // A loop with its task is a procedure like any other.
@@ -62,9 +63,14 @@ fn a_control_law_is_one_file() {
 
 #[test]
 fn options_name_their_law_and_older_ones_have_the_papers() {
-    let older: ServoOptions = serde_json::from_str(r#"{"lambda": 0.3}"#).unwrap();
-    let named: ServoOptions =
-        serde_json::from_str(r#"{"lambda": 0.3, "law": "proportional"}"#).unwrap();
+    let read = |text: &str| serde_json::from_str::<ServoOptions>(text).unwrap();
+    let (older, named) = (
+        read(r#"{"lambda": 0.3}"#),
+        read(r#"{"lambda": 0.3, "law": "proportional"}"#),
+    );
     assert_eq!(older, named);
-    assert!(!serde_json::to_string(&older).unwrap().contains("law"));
+    assert_eq!(older.law, Law::Proportional);
+    assert_eq!(ServoOptions::default().law, Law::Direct);
+    let kept = serde_json::to_string(&ServoOptions::default()).unwrap();
+    assert_eq!(read(&kept), ServoOptions::default());
 }

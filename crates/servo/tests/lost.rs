@@ -38,6 +38,7 @@ fn turned_between_two_frames(from_deg: f64, to_deg: f64) -> (usize, ServoEnd, (f
         vision: &vision,
         options: &options,
         law: None,
+        hand_overs: &[],
         localizer: None,
     };
     let end = run(&mut Servo::default().on(&task), &bench.scope, &mut sink).unwrap();

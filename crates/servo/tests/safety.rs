@@ -6,8 +6,9 @@ use common::{Listener, PLACE_UM, bench, bench_over, one_objective, options};
 use scopeservo_geometry::Mat2;
 use scopeservo_scope::{Axis, Motion, ScopeError};
 use scopeservo_servo::{
-    Calibrate, CalibrateOptions, Event, Focus, FocusOptions, NoSink, Procedure, Progress,
-    Reposition, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Target, VisionOptions, run,
+    Calibrate, CalibrateOptions, Contradiction, Event, Focus, FocusOptions, NoSink, Procedure,
+    Progress, Reposition, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Target,
+    VisionOptions, run,
 };
 use scopeservo_twin::specimen::Blank;
 use scopeservo_twin::{Config, StageFault};
@@ -88,6 +89,7 @@ fn a_calibration_with_the_wrong_sign_is_stopped_before_it_runs_away() {
         vision: &vision,
         options: &options,
         law: None,
+        hand_overs: &[],
         localizer: None,
     };
     let mut servo = Servo::default();
@@ -96,7 +98,11 @@ fn a_calibration_with_the_wrong_sign_is_stopped_before_it_runs_away() {
             break end;
         }
     };
-    assert!(matches!(end, ServoEnd::Diverged(_)), "{end:?}");
+    let why = Contradiction::Reversed;
+    assert!(
+        matches!(end, ServoEnd::Contradicted { why: w, .. } if w == why),
+        "{end:?}"
+    );
     let (um, _) = bench.error_from(&truth);
     assert!(um < 120.0, "it ran {um} um before it was stopped");
 }

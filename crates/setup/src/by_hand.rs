@@ -112,6 +112,7 @@ impl Nosepiece for ByHand {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scopeservo_scope::Immersion;
     use std::sync::mpsc::channel;
     use std::time::Duration;
 
@@ -122,6 +123,7 @@ mod tests {
                 magnification: 100.0,
                 numerical_aperture: 0.3,
                 nominal_um_per_px: 1.0,
+                immersion: Immersion::Air,
             })
             .into()
     }

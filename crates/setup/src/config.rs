@@ -4,7 +4,7 @@ use crate::SetupError;
 use crate::simulated::TwinConfig;
 use crate::tables;
 use scopeservo_drivers::factory::{Described, FACTORIES, Factory};
-use scopeservo_scope::Workspace;
+use scopeservo_scope::{Immersion, Workspace};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fs;
@@ -108,6 +108,9 @@ pub struct ObjectiveConfig {
     pub numerical_aperture: f64,
     /// Nominal size of a camera pixel on the specimen.
     pub um_per_px: f64,
+    /// What it works in; air when left out.
+    #[serde(default)]
+    pub immersion: Immersion,
 }
 
 /// One value per axis.
@@ -366,6 +369,24 @@ mod tests {
             Path::new("lab/scopeservo-data")
         );
         parse(TWIN_TEMPLATE).unwrap();
+    }
+
+    #[test]
+    fn an_objective_works_in_air_unless_it_says_otherwise() {
+        let objectives = "[[objective]]\nid = \"10x\"\nmagnification = 100\nnumerical_aperture = 0.25\num_per_px = 1.1\n\
+             [[objective]]\nid = \"100x\"\nmagnification = 1000\nnumerical_aperture = 1.25\num_per_px = 0.1\nimmersion = \"oil\"\n";
+        let by_hand = TWIN_TEMPLATE.replace("nosepiece = \"twin\"", "nosepiece = \"by-hand\"");
+        let config = parse(&format!("{by_hand}\n{objectives}")).unwrap();
+        let media: Vec<Immersion> = config.objectives.iter().map(|o| o.immersion).collect();
+        assert_eq!(media, [Immersion::Air, Immersion::Oil]);
+        let odd = format!("{by_hand}\n{}", objectives.replace("\"oil\"", "\"oill\""));
+        let line = odd.lines().position(|l| l.contains("oill")).unwrap() + 1;
+        let said = said(&odd);
+        assert!(
+            said.starts_with(&format!("lab/scopeservo.toml:{line}:"))
+                && said.contains("did you mean 'oil'?"),
+            "{said}"
+        );
     }
 
     #[test]

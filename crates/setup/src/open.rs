@@ -9,8 +9,8 @@ use crate::simulated::TwinConfig;
 use scopeservo_drivers::factory::{Around, ConnectError, Connected, read_secret};
 use scopeservo_protocol::{Driver, Secret};
 use scopeservo_scope::{
-    CancelToken, Clock, Devices, Instrument, Nosepiece, Objective, ObjectiveId, ScopeError,
-    SystemClock, VirtualClock,
+    AskImmersion, CancelToken, Clock, Devices, Instrument, Nosepiece, Objective, ObjectiveId,
+    ScopeError, SystemClock, VirtualClock,
 };
 use scopeservo_twin::{Twin, TwinError};
 use std::collections::BTreeMap;
@@ -25,6 +25,8 @@ pub struct Consent {
     pub home: bool,
     /// How somebody is asked to turn a nosepiece.
     pub ask: Ask,
+    /// How somebody is asked before an objective comes that works in another medium.
+    pub ask_immersion: AskImmersion,
 }
 
 /// An instrument, ready.
@@ -127,7 +129,9 @@ pub fn connect(
         light,
         clock,
     };
-    let scope = Instrument::new(devices, rules, cancel)?.keeping(held);
+    let scope = Instrument::new(devices, rules, cancel)?
+        .keeping(held)
+        .asking_before_immersion(consent.ask_immersion.clone());
     set(config, &scope)?;
     let drivers = all
         .iter()
@@ -245,6 +249,7 @@ fn objectives(config: &Config) -> Result<Vec<Objective>, SetupError> {
         magnification,
         numerical_aperture,
         um_per_px,
+        immersion,
     } in &config.objectives
     {
         if all.iter().any(|o| o.id.0 == *id) || id.is_empty() {
@@ -255,6 +260,7 @@ fn objectives(config: &Config) -> Result<Vec<Objective>, SetupError> {
             magnification: *magnification,
             numerical_aperture: *numerical_aperture,
             nominal_um_per_px: *um_per_px,
+            immersion: *immersion,
         };
         let checked = objective.check();
         checked.map_err(|e| config.senseless(e.to_string()))?;

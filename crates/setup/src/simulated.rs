@@ -1,7 +1,7 @@
 //! The simulated microscope, as a file or a command line describes it.
 
 use crate::SetupError;
-use scopeservo_scope::Clock;
+use scopeservo_scope::{Clock, Immersion};
 use scopeservo_twin::{
     CameraConfig, Config as Make, FileSpecimen, MadeSpecimen, Specimen, StageConfig, Tissue, Twin,
     TwinError,
@@ -41,6 +41,9 @@ pub struct TwinConfig {
     /// Radial distortion of objectives by their names: how far the corner of the image is moved out, relative (0.002 is 0.2 %). None without.
     #[serde(default)]
     pub distortion: BTreeMap<String, f64>,
+    /// What objectives work in, by their names; air without.
+    #[serde(default)]
+    pub immersion: BTreeMap<String, Immersion>,
     /// Its camera, with its noise, its dust and what it writes into the image; the usual one without.
     #[serde(default)]
     pub camera: CameraConfig,
@@ -81,6 +84,7 @@ impl Default for TwinConfig {
             objectives: None,
             mirrored: false,
             distortion: BTreeMap::new(),
+            immersion: BTreeMap::new(),
             camera: CameraConfig::default(),
             real_time: false,
         }
@@ -117,6 +121,7 @@ impl TwinConfig {
         let named = self.objectives.iter().flatten();
         if let Some(id) = named
             .chain(self.distortion.keys())
+            .chain(self.immersion.keys())
             .find(|id| !known.contains(id))
         {
             let known = known.join(", ");
@@ -125,11 +130,9 @@ impl TwinConfig {
             )));
         }
         for optics in &mut make.optics {
-            optics.distortion = self
-                .distortion
-                .get(&optics.id.0)
-                .copied()
-                .unwrap_or_default();
+            let (id, distortion) = (&optics.id.0, &self.distortion);
+            optics.distortion = distortion.get(id).copied().unwrap_or_default();
+            optics.immersion = self.immersion.get(id).copied().unwrap_or_default();
         }
         if let Some(wanted) = &self.objectives {
             make.optics.retain(|o| wanted.contains(&o.id.0));

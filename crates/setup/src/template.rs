@@ -52,6 +52,7 @@ nosepiece = "main"                # a driver, or "by-hand" (you are asked to tur
 # magnification = 100             # total; orders the objectives
 # numerical_aperture = 0.25
 # um_per_px = 1.1                 # nominal size of a camera pixel on the specimen, within 30 %
+# immersion = "oil"               # or water, glycerol, silicone; air when left out. You are asked before one takes another's place
 
 # Narrower than the stage's own travel. What lies outside is refused, never clipped.
 [limits]
@@ -114,6 +115,7 @@ turned_deg = 0
 # objectives = ["10x", "40x"]     # of 10x, 20x, 40x
 # mirrored = true                 # the camera's picture is mirrored
 # distortion = { "40x" = 0.002 }  # moves the corner of the picture out by 0.2 %
+# immersion = { "40x" = "oil" }   # or water, glycerol, silicone; air when left out. You are asked before one takes another's place
 # real_time = true                # motion takes as long as it would
 
 [devices]

@@ -17,6 +17,7 @@ fn opened(driver: &str, folder: &Path) -> Result<Opened, SetupError> {
     let consent = Consent {
         home: false,
         ask: Arc::new(|_, _| false),
+        ask_immersion: Arc::new(|_, _| false),
     };
     open(&config, &consent, CancelToken::new())
 }

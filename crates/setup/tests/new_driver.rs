@@ -100,6 +100,7 @@ fn a_new_maker_is_one_file_and_a_line_of_the_registry() {
     let consent = Consent {
         home: false,
         ask: Arc::new(|_, _| false),
+        ask_immersion: Arc::new(|_, _| false),
     };
     let opened = open(&config, &consent, CancelToken::new()).unwrap();
     let mine = ("mine".to_owned(), "toy on /dev/toy-of-this-test".to_owned());

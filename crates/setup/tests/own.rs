@@ -28,6 +28,7 @@ fn opened(own: &str, home: bool) -> Result<Opened, SetupError> {
     let consent = Consent {
         home,
         ask: Arc::new(|_, _| false),
+        ask_immersion: Arc::new(|_, _| false),
     };
     open(&config, &consent, CancelToken::new())
 }
@@ -154,6 +155,7 @@ fn a_nosepiece_on_the_stages_controller_turns_where_the_file_allows_it() {
     let consent = Consent {
         home: false,
         ask: Arc::new(|_, _| false),
+        ask_immersion: Arc::new(|_, _| false),
     };
     let opened = open(&config, &consent, CancelToken::new()).unwrap();
     let (gate, id) = (opened.instrument.gate(), ObjectiveId("40x".into()));
@@ -179,6 +181,7 @@ fn cameras_of_our_own_say_what_is_wrong_with_them() {
         let consent = Consent {
             home: false,
             ask: Arc::new(|_, _| false),
+            ask_immersion: Arc::new(|_, _| false),
         };
         let opened = config.and_then(|c| open(&c, &consent, CancelToken::new()));
         opened.err().unwrap().to_string()

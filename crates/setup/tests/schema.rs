@@ -56,6 +56,10 @@ fn the_schema_has_the_keys_of_the_program_table_by_table() {
         ("[drivers.a.twin]", own("twin")),
         ("[drivers.a.twin.camera]", own("twin/properties/camera")),
         (
+            "[drivers.a.twin.camera.auto_exposure]",
+            own("twin/properties/camera/properties/auto_exposure"),
+        ),
+        (
             "[[drivers.a.twin.camera.dust]]",
             own("twin/properties/camera/properties/dust/items"),
         ),

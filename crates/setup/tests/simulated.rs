@@ -11,6 +11,7 @@ fn seen(more: &str) -> Result<Frame, SetupError> {
     let consent = Consent {
         home: false,
         ask: std::sync::Arc::new(|_, _| false),
+        ask_immersion: std::sync::Arc::new(|_, _| false),
     };
     let opened = open(&config, &consent, CancelToken::new())?;
     Ok(opened.instrument.grab()?)

@@ -1,7 +1,7 @@
 //! What people are asked.
 
 use crate::JobId;
-use scopeservo_scope::ObjectiveId;
+use scopeservo_scope::{ImmersionChange, ObjectiveId};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -24,6 +24,11 @@ pub enum QuestionKind {
     TurnNosepiece {
         /// The objective.
         objective: ObjectiveId,
+    },
+    /// Make the specimen ready for an objective that works in another medium: yes when it is, and this one change may be made.
+    ChangeImmersion {
+        /// The change.
+        change: ImmersionChange,
     },
     /// Something that has no word of its own, for people.
     Confirm {

@@ -2,7 +2,7 @@
 
 use crate::bus::Bus;
 use crate::{Question, QuestionId, QuestionKind, Refusal, StationEvent, lock};
-use scopeservo_scope::Objective;
+use scopeservo_scope::{AskImmersion, Objective};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
@@ -111,6 +111,15 @@ impl Questions {
             reply.get_or_insert(Reply::Cancelled);
         }
         self.desk.1.notify_all();
+    }
+
+    /// What an instrument asks with before an objective comes that works in another medium.
+    pub fn immersion_asker(&self) -> AskImmersion {
+        let questions = self.clone();
+        Arc::new(move |change, wanted| {
+            let change = change.clone();
+            questions.ask(QuestionKind::ChangeImmersion { change }, wanted) == Some(true)
+        })
     }
 
     /// What a nosepiece that is turned by hand asks with.

@@ -4,7 +4,7 @@ use crate::control::Control;
 use crate::jobs::Finding;
 use crate::shared::Shared;
 use crate::{Bus, JobError, Kept, MadeCalibration, QuestionKind, StationEvent, lock};
-use scopeservo_scope::{Frame, Instrument, Objective, ObjectiveId};
+use scopeservo_scope::{Frame, Immersion, Instrument, Objective, ObjectiveId};
 use scopeservo_servo::{Calibration, Event, FrameRole, Procedure, Progress, Sink, Stamped};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -141,6 +141,15 @@ impl<'a> Work<'a> {
     /// The last frame that was grabbed as a target.
     pub fn target_frame(&self) -> Option<Arc<Frame>> {
         self.ears.target.clone()
+    }
+
+    /// What is on the specimen, where that is known.
+    ///
+    /// # Errors
+    /// What the nosepiece reports.
+    pub fn immersion(&self) -> Result<Option<Immersion>, JobError> {
+        let media = self.scope().gate().immersions()?;
+        Ok(media.first().copied().filter(|_| media.len() == 1))
     }
 
     /// The objective of that name; the one that is active when none is named.

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{LONG, Walk, Watched, bench, drain, wait_for};
-use scopeservo_scope::{Clock, Objective, ObjectiveId, VirtualClock};
+use scopeservo_scope::{Clock, Immersion, ImmersionChange, Objective, ObjectiveId, VirtualClock};
 use scopeservo_servo::Progress;
 use scopeservo_station::{
     Ended, JobError, JobInfo, JobState, Journal, JournalError, News, NoJournal, Parts, Pause,
@@ -199,6 +199,7 @@ fn a_nosepiece_that_is_turned_by_hand_asks_over_the_station() {
         magnification: 400.0,
         numerical_aperture: 0.65,
         nominal_um_per_px: 0.2,
+        immersion: Immersion::Air,
     };
     let wanted = AtomicBool::new(true);
     std::thread::scope(|s| {
@@ -221,6 +222,36 @@ fn a_nosepiece_that_is_turned_by_hand_asks_over_the_station() {
         assert!(!asked.join().unwrap());
         assert!(questions.open().is_empty());
     });
+}
+
+#[test]
+fn another_medium_is_asked_about_over_the_station() {
+    let questions = Parts::default().questions;
+    let ask = questions.immersion_asker();
+    let change = ImmersionChange {
+        objective: ObjectiveId("100x".into()),
+        to: Immersion::Oil,
+        from: [Immersion::Air].into(),
+    };
+    for yes in [true, false] {
+        std::thread::scope(|s| {
+            let asked = s.spawn(|| ask(&change, &|| true));
+            let question = loop {
+                if let Some(question) = questions.open().pop() {
+                    break question;
+                }
+                std::thread::yield_now();
+            };
+            let kind = QuestionKind::ChangeImmersion {
+                change: change.clone(),
+            };
+            assert_eq!(question.kind, kind);
+            let told = serde_json::to_value(&question).unwrap();
+            assert_eq!(told["change"]["to"], "oil", "{told}");
+            questions.answer(question.id, yes).unwrap();
+            assert_eq!(asked.join().unwrap(), yes);
+        });
+    }
 }
 
 #[derive(Serialize)]

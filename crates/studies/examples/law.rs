@@ -13,8 +13,8 @@
 
 use scopeservo_scope::Frame;
 use scopeservo_servo::{
-    Event, FrameRole, NoSink, PoseError, Progress, Servo, ServoOptions, ServoTask, Sink, Stamped,
-    Target, VisionOptions,
+    Event, FrameRole, Law, NoSink, PoseError, Progress, Servo, ServoOptions, ServoTask, Sink,
+    Stamped, Target, VisionOptions,
 };
 use scopeservo_studies::bench::Bench;
 use scopeservo_studies::quantile;
@@ -39,6 +39,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seed: u64 = std::env::args().nth(1).map_or(Ok(1), |a| a.parse())?;
     let expected = (1.0 - LAMBDA).ln();
     let options = ServoOptions {
+        law: Law::Proportional,
         lambda: LAMBDA,
         max_iterations: ITERATIONS,
         position_px: 0.0,
@@ -74,6 +75,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             vision: &vision,
             options: &options,
             law: None,
+            hand_overs: &[],
             localizer: None,
         };
         let (mut servo, mut errors) = (Servo::default(), Errors::default());

@@ -7,6 +7,7 @@
 pub mod accuracy;
 pub mod bench;
 pub mod crops;
+pub mod page;
 pub mod rounds;
 pub mod warp;
 

@@ -27,6 +27,10 @@ pub struct CameraConfig {
     pub exposure_range_ms: [f64; 2],
     /// Read-out time after the exposure, ms.
     pub readout_ms: f64,
+    /// Whether rows are exposed one after the other, the last one `readout_ms` after the first, instead of all at once.
+    pub rolling: bool,
+    /// An exposure that the camera sets by itself and nobody can turn off; what is asked and told is another.
+    pub auto_exposure: Option<AutoExposureConfig>,
     /// Share of full scale that white (255 in the specimen) reaches at nominal exposure.
     pub white_level: f64,
     /// Electrons at full scale with gain 1.
@@ -45,6 +49,28 @@ pub struct CameraConfig {
     pub pattern: PatternConfig,
     /// Pixels that are always dark or always bright in one channel.
     pub dead_pixels: usize,
+}
+
+/// A camera that brightens and darkens its images by itself, whatever exposure it is told.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AutoExposureConfig {
+    /// The mean that it wants, as a share of full scale.
+    pub mean_level: f64,
+    /// Within this time it comes nearer by 63 %, s.
+    pub settle_s: f64,
+    /// The most by which it brightens or darkens.
+    pub most: f64,
+}
+
+impl Default for AutoExposureConfig {
+    fn default() -> Self {
+        Self {
+            mean_level: 0.5,
+            settle_s: 0.2,
+            most: 16.0,
+        }
+    }
 }
 
 /// Specks on the sensor's window, drawn from the seed: they stay where they are while the specimen moves.
@@ -158,6 +184,8 @@ impl Default for CameraConfig {
             nominal_exposure_ms: 10.0,
             exposure_range_ms: [0.02, 1000.0],
             readout_ms: 5.0,
+            rolling: false,
+            auto_exposure: None,
             white_level: 0.92,
             full_well_e: 12_000.0,
             gain: 1.0,
@@ -199,6 +227,16 @@ impl CameraConfig {
                 && self.exposure_range_ms[1].is_finite(),
             "camera: exposure_ms must lie inside exposure_range_ms",
         )?;
+        if let Some(auto) = &self.auto_exposure {
+            require(
+                positive(&[auto.mean_level]) && auto.mean_level < 1.0,
+                "camera.auto_exposure: mean_level must be between 0 and 1",
+            )?;
+            require(
+                positive(&[auto.settle_s, auto.most]) && auto.most >= 1.0,
+                "camera.auto_exposure: settle_s must be above 0, most at least 1",
+            )?;
+        }
         self.dust.iter().try_for_each(DustConfig::check)?;
         self.marks.iter().try_for_each(Mark::check)?;
         self.pattern.check()

@@ -4,7 +4,7 @@ use crate::TwinError;
 use crate::camera_config::CameraConfig;
 use crate::numbers::{finite, fraction, not_negative, positive, require};
 use crate::stage_config::StageConfig;
-use scopeservo_scope::{Kinematics, ObjectiveId};
+use scopeservo_scope::{Immersion, Kinematics, ObjectiveId};
 use serde::{Deserialize, Serialize};
 
 /// A whole simulated microscope.
@@ -60,6 +60,9 @@ pub struct ObjectiveConfig {
     /// corner out by 0.2 % (pincushion), negative values in (barrel). Scales are those of the middle.
     #[serde(default)]
     pub distortion: f64,
+    /// What it works in. The image does not depend on it.
+    #[serde(default)]
+    pub immersion: Immersion,
 }
 
 fn one() -> f64 {
@@ -237,6 +240,7 @@ fn paper_objectives() -> Vec<ObjectiveConfig> {
             chromatic_dof: [0.3, 0.0, -0.35],
             spherical: 0.35,
             distortion: 0.0,
+            immersion: Immersion::Air,
         };
     vec![
         objective("10x", 100.0, 0.25, 2.2, -448672.0, -451767.0, 1.0, 0.12),

@@ -3,6 +3,24 @@
 use scopeservo_scope::Axis;
 use serde::{Deserialize, Serialize};
 
+/// A hair between objective and sensor, which drifts through the image: neither with the specimen nor fixed to the camera.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DriftingHair {
+    /// Where its middle is at first, px.
+    pub at_px: [f64; 2],
+    /// How it drifts, px/s.
+    pub px_per_s: [f64; 2],
+    /// Half its thickness, px.
+    pub radius_px: f64,
+    /// Its length over its thickness.
+    pub stretch: f64,
+    /// How its length lies, deg from the rows.
+    pub angle_deg: f64,
+    /// Light that it takes in its middle, 0..1.
+    pub attenuation: f64,
+}
+
 /// A fault of the stage or of the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
@@ -61,6 +79,16 @@ pub enum StageFault {
         /// Rate along x, y, z, um/s.
         um_per_s: [f64; 3],
     },
+    /// The ground shakes from now on: amplitude along x and y, at rest as well, um.
+    Vibration {
+        /// How strong.
+        um: f64,
+    },
+    /// A hair drifts past the camera's window, or none does any more.
+    Hair(
+        /// What it is like; `None` when it is gone.
+        Option<DriftingHair>,
+    ),
     /// The next frames are lost; the sequence numbers show the gap.
     DropFrames(
         /// How many.

@@ -1,6 +1,8 @@
 //! What the devices of one microscope share.
 
+use crate::adapted::Adapted;
 use crate::config::Config;
+use crate::faults::DriftingHair;
 use crate::nosepiece::{NosepieceState, Offset};
 use crate::optics::{View, view};
 use crate::sensor::Sensor;
@@ -35,7 +37,10 @@ pub(crate) struct State {
     pub(crate) specimen: Arc<dyn Specimen>,
     /// Light that passes the camera's window, per pixel.
     pub(crate) window: Arc<Vec<f32>>,
+    /// A hair that drifts past the window, and since when.
+    pub(crate) hair: Option<(DriftingHair, f64)>,
     pub(crate) exposure: Duration,
+    pub(crate) adapted: Adapted,
     /// Level of the lamp, 0 to 1.
     pub(crate) light: f64,
     pub(crate) next_sequence: u64,

@@ -21,8 +21,10 @@
 
 #![warn(clippy::too_many_lines)]
 
+mod adapted;
 mod affine;
 mod blur;
+mod camera;
 mod camera_config;
 mod config;
 mod devices;
@@ -46,10 +48,10 @@ mod stage_config;
 mod truth;
 mod twin;
 
-pub use camera_config::{CameraConfig, DustConfig, Mark, PatternConfig};
+pub use camera_config::{AutoExposureConfig, CameraConfig, DustConfig, Mark, PatternConfig};
 pub use config::{Config, MountConfig, NosepieceConfig, ObjectiveConfig, SlideConfig};
 pub use error::TwinError;
-pub use faults::StageFault;
+pub use faults::{DriftingHair, StageFault};
 pub use slide::SpecimenEvent;
 pub use specimen::{
     Blank, CellKind, FileSpecimen, Lattice, LatticeConfig, LatticeKind, MadeSpecimen, Patch,

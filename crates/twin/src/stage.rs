@@ -388,6 +388,10 @@ impl StageState {
         self.backlash[index(axis)] = si;
     }
 
+    pub(crate) fn set_ambient(&mut self, um: f64) {
+        self.config.ambient_um = um;
+    }
+
     pub(crate) fn set_drift(&mut self, um_per_s: [f64; 3], now: f64) {
         for i in 0..3 {
             self.drift_before[i] += self.drift_rate[i] * (now - self.drift_since);

@@ -1,9 +1,11 @@
 //! The microscope as a whole: its state, its truth, and what may happen to it.
 
 use crate::TwinError;
+use crate::adapted::Adapted;
+use crate::camera::TwinCamera;
 use crate::camera_config::DustConfig;
 use crate::config::Config;
-use crate::devices::{TwinCamera, TwinLight, TwinNosepiece, TwinStage};
+use crate::devices::{TwinLight, TwinNosepiece, TwinStage};
 use crate::faults::StageFault;
 use crate::inner::{Inner, State};
 use crate::nosepiece::{NosepieceState, fixed_offsets};
@@ -76,6 +78,7 @@ impl Twin {
                     magnification: o.magnification,
                     numerical_aperture: o.numerical_aperture,
                     nominal_um_per_px: o.nominal_um_per_px,
+                    immersion: o.immersion,
                 })
                 .collect(),
             offsets: fixed_offsets(&nosepiece, config.optics.len(), seed),
@@ -86,7 +89,9 @@ impl Twin {
                 slide: Slide::new(&config.slide),
                 specimen,
                 window: sensor.window(),
+                hair: None,
                 exposure: ms(camera.exposure_ms),
+                adapted: Adapted::new(now),
                 light: 1.0,
                 next_sequence: 0,
                 drop_frames: 0,
@@ -246,6 +251,8 @@ impl Twin {
             StageFault::Misreports { axis, si } => state.stage.misreport(axis, si),
             StageFault::IgnoresStop(ignores) => state.stage.ignore_stops(ignores),
             StageFault::Drift { um_per_s } => state.stage.set_drift(um_per_s, now),
+            StageFault::Vibration { um } => state.stage.set_ambient(um),
+            StageFault::Hair(hair) => state.hair = hair.map(|hair| (hair, now)),
             StageFault::DropFrames(count) => state.drop_frames += count,
             StageFault::LateFrames { count, delay_s } => {
                 state.late_frames = count;

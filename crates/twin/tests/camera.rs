@@ -2,9 +2,12 @@
 
 mod common;
 
-use common::{Bench, clean, grey, waves};
-use scopeservo_scope::{Axis, Frame, StagePose};
-use scopeservo_twin::{Config, DustConfig, Mark, StageConfig};
+use common::{Bench, Formula, clean, grey, waves};
+use scopeservo_scope::{Axis, Clock, Frame, StagePose};
+use scopeservo_twin::{
+    AutoExposureConfig, Config, DriftingHair, DustConfig, Mark, Specimen, StageConfig, StageFault,
+};
+use std::sync::Arc;
 
 fn dust(specks: usize) -> DustConfig {
     DustConfig {
@@ -140,4 +143,169 @@ fn a_picture_is_as_bright_as_the_light_is_set() {
     assert!(light.set_level(f64::NAN).is_err() && light.set_level(-0.1).is_err());
     light.set_level(0.0).unwrap();
     assert!(mean() < 0.01 * full);
+}
+
+fn mean(picture: &[f32]) -> f32 {
+    picture.iter().sum::<f32>() / picture.len() as f32
+}
+
+#[test]
+fn a_camera_that_exposes_by_itself_comes_to_its_own_brightness() {
+    let config = camera(|c| {
+        c.camera.auto_exposure = Some(AutoExposureConfig {
+            mean_level: 0.4,
+            settle_s: 0.2,
+            most: 4.0,
+        });
+    });
+    let bench = Bench::new(config, grey(0.6));
+    let exposure = bench.twin.camera().exposure().unwrap();
+    let after = |s: f64| {
+        bench.clock.sleep(std::time::Duration::from_secs_f64(s));
+        mean(&shown(&bench.grab()))
+    };
+    after(0.0);
+    after(2.0);
+    assert!((after(1.0) - 0.4).abs() < 0.01);
+    // A third of the light: dark at first, then as bright as before; a twentieth is more than it can make up for.
+    drop(bench.twin.light().set_level(0.33));
+    let dark = after(0.0);
+    assert!(dark < 0.2, "{dark}");
+    after(1.0);
+    let again = after(1.0);
+    assert!((again - 0.4).abs() < 0.02, "{again}");
+    assert_eq!(
+        bench.twin.camera().exposure().unwrap(),
+        exposure,
+        "nor says so"
+    );
+    drop(bench.twin.light().set_level(0.05));
+    (0..4).for_each(|_| {
+        after(1.0);
+    });
+    assert!(after(1.0) < 0.25);
+    // What it is told changes the image for a moment only.
+    drop(bench.twin.light().set_level(1.0));
+    (0..4).for_each(|_| {
+        after(1.0);
+    });
+    bench.twin.camera().set_exposure(exposure / 2).unwrap();
+    assert!(after(0.0) < 0.3);
+    after(1.0);
+    assert!((after(1.0) - 0.4).abs() < 0.02);
+}
+
+/// Stripes along x, `period_um` apart: in the image they run from above to below.
+fn stripes(period_um: f64) -> Arc<dyn Specimen> {
+    Arc::new(Formula(move |s: [f64; 2]| {
+        [0.5 + 0.3 * (std::f64::consts::TAU * s[1] / period_um).cos(); 3]
+    }))
+}
+
+/// How far the stripes of a row lie along, in periods.
+fn phase(picture: &[f32], row: usize, px: usize) -> f64 {
+    let (mut re, mut im) = (0.0, 0.0);
+    for (x, v) in picture[row * 640..row * 640 + 640 / px * px]
+        .iter()
+        .enumerate()
+    {
+        let (s, c) = (std::f64::consts::TAU * x as f64 / px as f64).sin_cos();
+        (re, im) = (re + c * f64::from(*v), im + s * f64::from(*v));
+    }
+    im.atan2(re) / std::f64::consts::TAU
+}
+
+#[test]
+fn rows_that_are_exposed_later_see_a_moving_specimen_farther_on() {
+    let period_um = 40.0 * 1e6 / 448_672.0;
+    let bench = |rolling: bool| {
+        let config = camera(|c| {
+            c.camera.rolling = rolling;
+            c.camera.readout_ms = 30.0;
+            c.camera.exposure_range_ms[0] = 0.05;
+            (c.camera.exposure_ms, c.camera.nominal_exposure_ms) = (0.1, 0.1);
+        });
+        let bench = Bench::new(config, stripes(period_um));
+        bench.focus(0.0);
+        bench
+    };
+    let (rolling, global) = (bench(true), bench(false));
+    assert_eq!(shown(&rolling.grab()), shown(&global.grab()), "at rest");
+    let rest = shown(&global.grab());
+    // At full speed, on the way over 4 mm.
+    let moving = |b: &Bench| {
+        b.stage
+            .start_move(&StagePose::default().with_si(Axis::Y, 4e-3))
+            .unwrap();
+        b.sleep(0.1);
+        let before = b.stage.position().unwrap().si(Axis::Y).unwrap();
+        let t = b.clock.now().seconds();
+        let frame = b.grab();
+        let way = b.stage.position().unwrap().si(Axis::Y).unwrap() - before;
+        (frame, 1e6 * way / (b.clock.now().seconds() - t))
+    };
+    let ((rolled, um_per_s), (whole, _)) = (moving(&rolling), moving(&global));
+    assert!(um_per_s > 500.0, "{um_per_s}");
+    let along = |frame: &Frame, row: usize| {
+        let off = phase(&shown(frame), row, 40) - phase(&rest, row, 40);
+        off - off.round()
+    };
+    let first = along(&whole, 0);
+    let steps: Vec<f64> = (0..480)
+        .map(|row| {
+            let whole = along(&whole, row) - first;
+            assert!((whole - whole.round()).abs() < 0.02, "{row}");
+            along(&rolled, row) - first
+        })
+        .collect();
+    // Whole periods are not seen: neighbouring rows differ by less than half of one.
+    let mut way = 0.0;
+    for pair in steps.windows(2) {
+        let step = pair[1] - pair[0];
+        way += step - step.round();
+    }
+    let expected_um = um_per_s * 0.030 * 479.0 / 480.0;
+    let seen_um = way.abs() * period_um;
+    assert!(
+        (seen_um - expected_um).abs() < 0.02 * expected_um,
+        "{seen_um} um and not {expected_um}"
+    );
+    assert!(
+        (steps[0] - steps[0].round()).abs() < 0.02,
+        "the first row is as early"
+    );
+    // The truth of a frame is that of its middle row.
+    let at = |b: &Bench, f: &Frame| b.twin.truth(f.sequence).unwrap().stage.si(Axis::Y).unwrap();
+    let later_um = 1e6 * (at(&rolling, &rolled) - at(&global, &whole));
+    assert!((later_um - 0.5 * um_per_s * 0.030).abs() < 0.02 * expected_um);
+}
+
+#[test]
+fn a_hair_drifts_through_the_image() {
+    let bench = Bench::new(camera(|_| {}), grey(0.8));
+    let clean = shown(&bench.grab());
+    bench.twin.fault(StageFault::Hair(Some(DriftingHair {
+        at_px: [100.0, 240.0],
+        px_per_s: [50.0, 0.0],
+        radius_px: 3.0,
+        stretch: 20.0,
+        angle_deg: 90.0,
+        attenuation: 0.7,
+    })));
+    let middle = |picture: &[f32]| {
+        let shade = |i: usize| f64::from((clean[i] - picture[i]).max(0.0));
+        let row: Vec<f64> = (0..640).map(|x| shade(240 * 640 + x)).collect();
+        let sum: f64 = row.iter().sum();
+        row.iter()
+            .enumerate()
+            .map(|(x, v)| x as f64 * v)
+            .sum::<f64>()
+            / sum
+    };
+    let first = middle(&shown(&bench.grab()));
+    bench.clock.sleep(std::time::Duration::from_secs(4));
+    let later = middle(&shown(&bench.grab()));
+    assert!((later - first - 200.0).abs() < 5.0, "{first} {later}");
+    bench.twin.fault(StageFault::Hair(None));
+    assert_eq!(shown(&bench.grab()), clean);
 }

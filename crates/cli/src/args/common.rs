@@ -2,6 +2,7 @@
 
 use crate::error::CliError;
 use clap::{Args, ValueEnum};
+use scopeservo_scope::Immersion;
 use scopeservo_servo::{FocusOptions, Measure};
 use std::path::PathBuf;
 
@@ -42,6 +43,15 @@ pub(crate) struct InstrumentArgs {
     /// Allow homing when the stage needs it: it may move anything anywhere.
     #[arg(long)]
     pub(crate) home: bool,
+    /// What the specimen was made ready for by hand, before this command: one change of objective to this medium is made without asking.
+    #[arg(long, value_name = "MEDIUM", value_parser = medium)]
+    pub(crate) immersion: Option<Immersion>,
+}
+
+/// A medium by its word.
+fn medium(word: &str) -> Result<Immersion, String> {
+    let known = Immersion::ALL.map(Immersion::word).join(", ");
+    Immersion::of_word(word).ok_or_else(|| format!("there are {known}"))
 }
 
 /// How a view is brought into focus.

@@ -1,6 +1,7 @@
 //! The simulated microscope, and two images without any.
 
 use super::common::AnswerArgs;
+use super::moving::MovingArgs;
 use clap::{Args, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -51,13 +52,6 @@ pub(crate) struct TwinServeArgs {
     pub(crate) turned_deg: f64,
 }
 
-/// Which law moves the stage.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Method {
-    /// The paper's: proportional position-based servoing at each magnification.
-    Paper,
-}
-
 /// What the simulated microscope gets wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Noise {
@@ -72,7 +66,7 @@ pub(crate) enum Noise {
   scopeservo demo
   scopeservo demo --specimen slide.png --um-per-px 0.5
   scopeservo demo --specimen slide.svs --seed 7 --out run7 --json
-  scopeservo demo --start-um 300,-150 --start-deg 4.5 --lambda 0.5")]
+  scopeservo demo --start-um 300,-150 --start-deg 4.5 --method paper")]
 pub(crate) struct DemoArgs {
     /// A slide image to put under the microscope: PNG, JPEG, TIFF, tiled or pyramidal TIFF, SVS. Without it, procedural
     /// tissue grown from the seed.
@@ -89,20 +83,8 @@ pub(crate) struct DemoArgs {
     /// Seed of everything that is drawn: tissue, places, noise. The same seed gives the same run.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) seed: u64,
-    /// The control law.
-    #[arg(long, value_enum, default_value = "paper")]
-    pub(crate) method: Method,
-    /// Gain: the share of the error that one iteration takes away, above 0 up to 1.
-    #[arg(
-        long,
-        value_name = "F",
-        default_value_t = 0.2,
-        allow_negative_numbers = true
-    )]
-    pub(crate) lambda: f64,
-    /// Iterations at each magnification, at most.
-    #[arg(long, value_name = "N", default_value_t = 64)]
-    pub(crate) max_iterations: usize,
+    #[command(flatten)]
+    pub(crate) moving: MovingArgs,
     /// Where the view lies from the target when the slide is back, micrometres on the specimen. Drawn from the seed
     /// by default: at least 100 um, with the target inside the 100x view.
     #[arg(long, value_name = "X,Y", value_parser = parse_pair, allow_hyphen_values = true)]

@@ -1,6 +1,7 @@
 //! What is asked of an instrument: to move, focus, calibrate and come back.
 
 use super::common::{AnswerArgs, ConfigArgs, FocusingArgs, InstrumentArgs, ReportArgs};
+use super::moving::MovingArgs;
 use clap::{Args, Subcommand};
 use scopeservo_servo::CalibrationMethod;
 
@@ -8,6 +9,8 @@ use scopeservo_servo::CalibrationMethod;
 #[command(after_help = "Examples:
   scopeservo calibrate                       every objective, from the lowest magnification up
   scopeservo calibrate --objective 40x --json
+  scopeservo calibrate --out tuesday         the report goes to tuesday/report.html, also when it fails
+  scopeservo calibrate --switching 5         and how well the nosepiece brings each objective back
   scopeservo calibrate --method two-step     as in the paper: fewer views, ten times less precise")]
 pub(crate) struct CalibrateArgs {
     #[command(flatten)]
@@ -21,8 +24,14 @@ pub(crate) struct CalibrateArgs {
     /// How: a chain of views, solved at once; or the paper's two steps about one view.
     #[arg(long, value_enum, default_value = "joint")]
     pub(crate) method: MethodArg,
+    /// Then let each objective come so often in turn with the lowest one of its medium: how far their centres and heights lie apart, and how well the
+    /// nosepiece repeats. From 2 on; 0 for none.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) switching: usize,
     #[command(flatten)]
     pub(crate) focusing: FocusingArgs,
+    #[command(flatten)]
+    pub(crate) report: ReportArgs,
     #[command(flatten)]
     pub(crate) answer: AnswerArgs,
 }
@@ -189,7 +198,8 @@ pub(crate) struct PlaceArgs {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   scopeservo reposition mitosis-3
-  scopeservo reposition mitosis-3 --lambda 0.7 --out run --json
+  scopeservo reposition mitosis-3 --out run --json
+  scopeservo reposition mitosis-3 --method paper   a fifth of the way at a time, at every magnification
   scopeservo reposition mitosis-3 --calibrate      measure the objectives anew on the way")]
 pub(crate) struct RepositionArgs {
     /// The target's name.
@@ -199,17 +209,8 @@ pub(crate) struct RepositionArgs {
     /// Calibrate each objective on the way, also those that are calibrated.
     #[arg(long)]
     pub(crate) calibrate: bool,
-    /// Gain: the share of the error that one iteration takes away, above 0 up to 1.
-    #[arg(
-        long,
-        value_name = "F",
-        default_value_t = 0.2,
-        allow_negative_numbers = true
-    )]
-    pub(crate) lambda: f64,
-    /// Iterations at each magnification, at most.
-    #[arg(long, value_name = "N", default_value_t = 64)]
-    pub(crate) max_iterations: usize,
+    #[command(flatten)]
+    pub(crate) moving: MovingArgs,
     #[command(flatten)]
     pub(crate) focusing: FocusingArgs,
     #[command(flatten)]

@@ -1,6 +1,7 @@
 //! `scopeservo calibrate`.
 
 use super::library_of;
+use super::report::{failure, work_page};
 use crate::answer::Answer;
 use crate::args::CalibrateArgs;
 use crate::error::CliError;
@@ -8,17 +9,26 @@ use crate::journal::{Asked, Made};
 use crate::open_instrument::OpenInstrument;
 use crate::output::calibration as calibration_json;
 use crate::progress::Watcher;
+use crate::views::{keep_report, try_out};
 use scopeservo_library::Calibrations as _;
+use scopeservo_report::{Work, WorkEnd};
 use scopeservo_scope::{Objective, ObjectiveId};
-use scopeservo_servo::{CalibrateOptions, Calibration, EXAMPLE_MOVE};
+use scopeservo_servo::{CalibrateOptions, Calibration, EXAMPLE_MOVE, Known, SwitchingReport};
 use scopeservo_station::jobs::{CalibrateInput, CalibrateJob, CalibrateOutput};
 use serde_json::json;
 use std::path::Path;
+use std::time::Instant;
 
 pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, CliError> {
     let focus = args.focusing.options()?;
+    if args.switching == 1 || args.switching > 100 {
+        return Err(CliError::Usage(
+            "--switching must be 0, or from 2 to 100: one arrival tells no scatter".into(),
+        ));
+    }
     // Before anything moves, and before it is opened.
     library_of(&args.instrument.description)?.try_calibrations(&[])?;
+    try_out(&args.report.out)?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
     let named = args.objective.iter().cloned().map(ObjectiveId);
@@ -33,6 +43,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
     let input = CalibrateInput {
         objectives,
         focus: (!args.no_focus).then_some(focus),
+        switching: args.switching,
         calibrate: CalibrateOptions {
             method: args.method.into(),
             ..CalibrateOptions::default()
@@ -43,7 +54,8 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
         inputs: json!(input),
         ..Asked::default()
     };
-    run(&opened, CalibrateJob::new(input), asked, answer)
+    let job = CalibrateJob::new(input);
+    run(&opened, job, asked, &args.report.out, answer)
 }
 
 /// Runs the job, from its beginning or from where it was.
@@ -51,15 +63,42 @@ pub(super) fn run(
     opened: &OpenInstrument,
     job: CalibrateJob,
     asked: Asked,
+    out: &Path,
     answer: &Answer,
 ) -> Result<bool, CliError> {
     answer.put(json!({"calibrations": []}));
-    let ran = opened.run(job, asked, &mut Watcher::new(None), answer)?;
+    let before = in_use(opened);
+    let mut watcher = Watcher::new(None);
+    watcher.recorder.keep_calibration_views();
+    let started = Instant::now();
+    let ran = opened.run(job, asked, &mut watcher, answer)?;
     match &ran.output {
-        Ok(output) => show_made(answer, &all_made(opened, output, &ran.made)),
+        Ok(output) => {
+            show_made(answer, &all_made(opened, output, &ran.made));
+            show_switching(answer, &output.switching);
+        }
         Err(_) => show_made(answer, &ran.made),
     }
-    ran.end(None, answer).map(|_| true)
+    let end = WorkEnd {
+        work: Work::Calibration,
+        failed: failure(&ran.output),
+        before,
+    };
+    let page = work_page(opened, &watcher, &end, started);
+    keep_report(out, &page, ran.output.as_ref().err(), answer);
+    ran.end(Some(&page), answer).map(|_| true)
+}
+
+/// What this camera's objectives are calibrated with now, each with when it was made.
+fn in_use(opened: &OpenInstrument) -> Vec<(String, Calibration)> {
+    let info = opened.scope.camera().info();
+    let size_px = [info.width, info.height];
+    let objectives = opened.scope.gate().objectives().iter();
+    // One that is damaged is replaced now, and was of no use.
+    let kept = objectives.filter_map(|o| opened.library.calibration(o).ok().flatten());
+    kept.filter(|k| k.calibration.image_size_px == size_px && k.instrument == opened.config.name)
+        .map(|k| (k.made, k.calibration))
+        .collect()
 }
 
 /// What the job made, those included that a program made and kept before it was killed.
@@ -106,6 +145,40 @@ fn show_made(answer: &Answer, made: &[Made]) {
             "calibration": calibration_json(&made.calibration),
         });
         answer.push("calibrations", entry);
+    }
+}
+
+/// What switching has shown.
+fn show_switching(answer: &Answer, all: &[SwitchingReport]) {
+    let known = |k: &Known, digits: usize| format!("{:.digits$} +- {:.digits$}", k.value, k.sigma);
+    for report in all {
+        let SwitchingReport { from, to, .. } = report;
+        let ([x, y], [sx, sy]) = (&report.offset_um, &report.repeatability_um);
+        say!(
+            answer,
+            "{to} after {from}, {} times: its centre lies x {}, y {} um from there",
+            report.arrivals[1],
+            known(x, 2),
+            known(y, 2)
+        );
+        if let Some(focus) = &report.focus {
+            say!(
+                answer,
+                "  its focus lies at z {} um from there, and one arrival repeats to {} um",
+                known(&focus.offset_um, 2),
+                known(&focus.repeatability_um, 2)
+            );
+        }
+        say!(
+            answer,
+            "  one arrival repeats to x {}, y {} um and {} deg (standard deviations)",
+            known(sx, 2),
+            known(sy, 2),
+            known(&report.repeatability_deg, 4)
+        );
+    }
+    if !all.is_empty() {
+        answer.put(json!({"switching": all}));
     }
 }
 

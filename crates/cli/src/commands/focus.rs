@@ -1,15 +1,18 @@
 //! `scopeservo focus`.
 
+use super::report::{failure, work_page};
 use crate::answer::Answer;
 use crate::args::FocusArgs;
 use crate::error::CliError;
 use crate::journal::Asked;
 use crate::open_instrument::OpenInstrument;
 use crate::progress::Watcher;
+use scopeservo_report::{Work, WorkEnd};
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::VisionOptions;
 use scopeservo_station::jobs::{FocusInput, FocusJob, FocusOutput};
 use serde_json::json;
+use std::time::Instant;
 
 pub(crate) fn focus(args: &FocusArgs, answer: &Answer) -> Result<bool, CliError> {
     let focus = args.focusing.options()?;
@@ -38,11 +41,19 @@ pub(super) fn run(
     asked: Asked,
     answer: &Answer,
 ) -> Result<bool, CliError> {
-    let ran = opened.run(job, asked, &mut Watcher::new(None), answer)?;
+    let mut watcher = Watcher::new(None);
+    let started = Instant::now();
+    let ran = opened.run(job, asked, &mut watcher, answer)?;
     if let Ok(output) = &ran.output {
         show(answer, output);
     }
-    ran.end(None, answer).map(|_| true)
+    let end = WorkEnd {
+        work: Work::Focus,
+        failed: failure(&ran.output),
+        before: Vec::new(),
+    };
+    let page = work_page(opened, &watcher, &end, started);
+    ran.end(Some(&page), answer).map(|_| true)
 }
 
 fn show(answer: &Answer, FocusOutput { objective, result }: &FocusOutput) {

@@ -4,6 +4,7 @@ mod calibrate;
 mod check;
 mod focus;
 mod grid;
+mod report;
 mod reposition;
 mod resume;
 mod save_target;

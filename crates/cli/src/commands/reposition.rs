@@ -3,7 +3,6 @@
 use super::known_calibrations;
 use crate::answer::Answer;
 use crate::args::RepositionArgs;
-use crate::demo::check_servo;
 use crate::error::{CliError, Code};
 use crate::journal::Asked;
 use crate::open_instrument::{OpenInstrument, Ran};
@@ -23,7 +22,7 @@ use std::path::Path;
 use std::time::Instant;
 
 pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool, CliError> {
-    check_servo(args.lambda, args.max_iterations)?;
+    let servo = args.moving.options()?;
     let focus = args.focusing.options()?;
     // What can be wrong without the instrument is found before it is touched.
     let config = Config::read(&args.instrument.description.config)?;
@@ -35,11 +34,6 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
     try_out(&args.report.out)?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let servo = ServoOptions {
-        lambda: args.lambda,
-        max_iterations: args.max_iterations,
-        ..ServoOptions::default()
-    };
     let input = RepositionInput {
         target_id: kept.id.clone(),
         options: RepositionOptions {
@@ -52,6 +46,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
             true => Vec::new(),
             false => known_calibrations(&opened, answer),
         },
+        switchings: opened.switchings.clone(),
     };
     let asked = Asked {
         inputs: json!({"name": args.name, "options": input.options}),
@@ -111,6 +106,7 @@ fn show(
         "target": name,
         "estimated_error_um": outcome.estimated_error_um,
         "estimated_error_deg": outcome.estimated_error_deg,
+        "limited_by": outcome.limited_by,
         "unique_within_um": outcome.unique_within_um,
         "moves": counters.moves,
         "frames": counters.frames,
@@ -147,6 +143,7 @@ fn keep(
     let context = report::Context {
         title: format!("Back to {name}"),
         instrument: opened.config.name.clone(),
+        simulated: opened.is_simulated(),
         command: output::command_line(),
         version: env!("CARGO_PKG_VERSION").into(),
         wall_time_s: Some(seconds),
@@ -157,7 +154,7 @@ fn keep(
         ..report::Context::default()
     };
     let page = report::html(&watcher.recorder, None, &context);
-    keep_report(out, &page, answer);
+    keep_report(out, &page, None, answer);
     let output = ran.end(Some(&page), answer)?;
     Ok(output.outcome.verdict == Verdict::Arrived)
 }

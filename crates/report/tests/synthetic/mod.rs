@@ -264,6 +264,7 @@ impl Teller {
                 stage: StagePose::default(),
                 shift_px: (index != 11).then_some(shift),
                 inliers: 240,
+                chain: None,
             };
             self.tell(0.5, event);
         }
@@ -338,6 +339,7 @@ impl Teller {
             iteration += 1;
             if passed == 2 {
                 let result = ServoResult {
+                    limited_by: None,
                     iterations: iteration,
                     inliers: 240,
                     error,
@@ -396,6 +398,7 @@ impl Teller {
             estimated_error_um: last
                 .as_ref()
                 .map(|r| r.error.distance_um().hypot(r.sigma_um)),
+            limited_by: None,
             estimated_error_deg: last.as_ref().map(|r| r.error.angle_deg().abs()),
             unique_within_um: None,
             magnifications: self.results.clone(),
@@ -490,6 +493,7 @@ pub(crate) fn context() -> Context {
         command: "scopeservo demo --seed 7 --report run.html".into(),
         seed: Some(7),
         version: "scopeservo 0.1.0".into(),
+        simulated: true,
         virtual_time: true,
         wall_time_s: Some(21.4),
         credit: None,

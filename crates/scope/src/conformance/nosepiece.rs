@@ -1,16 +1,24 @@
 //! Checks of a nosepiece.
 
 use super::check::{Check, ensure, run, said};
-use crate::{Axis, Instrument, ObjectiveId};
+use crate::{Axis, Instrument, ObjectiveId, by_immersion};
 
-/// Nosepiece checks: every objective can be reached, unknown ones are refused.
+/// Nosepiece checks: every objective that works in what is on the specimen can be reached, unknown ones are refused.
 pub fn check_nosepiece(scope: &Instrument) -> Vec<Check> {
     let gate = scope.gate();
     vec![
         run("every objective can be selected", || {
             let before = gate.current_objective().map_err(said)?;
             let home = gate.position().map_err(said)?;
-            for objective in gate.objectives().to_vec() {
+            let mut all = gate.objectives().to_vec();
+            let now = gate.immersions().map_err(said)?;
+            let now = (now.len() == 1).then(|| now.first().copied()).flatten();
+            // Nobody has to put oil on a specimen for this.
+            if now.is_some() {
+                all.retain(|o| Some(o.immersion) == now);
+            }
+            by_immersion(&mut all, now, |o| o);
+            for objective in all {
                 scope.select_objective(&objective.id).map_err(said)?;
             }
             // Back to the height only with the objective that was there.

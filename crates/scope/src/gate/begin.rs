@@ -80,7 +80,7 @@ impl MotionGate {
     ///
     /// # Errors
     /// [`ScopeError::NoSuchObjective`], [`ScopeError::NotHomed`], [`ScopeError::NotRetracted`], [`ScopeError::StandsOutside`] and those of the places where the
-    /// objective that comes may not be, [`ScopeError::Busy`] while stage or nosepiece move,
+    /// objective that comes may not be, [`ScopeError::ImmersionNotAgreed`], [`ScopeError::Busy`] while stage or nosepiece move,
     /// [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report.
     pub fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
         let begun = self.begin_change(to);
@@ -115,6 +115,7 @@ impl MotionGate {
         if let Some(breach) = self.judge(std::slice::from_ref(to)).breach(&here) {
             return Err(breach.into());
         }
+        self.check_immersion(to)?;
         let answer = self.nosepiece.start_change(to);
         if !answer.as_ref().is_err_and(is_refusal) {
             self.knowledge.change_begun();

@@ -1,6 +1,7 @@
 //! The motion gate: the one way to move a stage or turn a nosepiece. It refuses with a reason, and never clips.
 
 mod begin;
+mod immersion;
 mod obeying;
 mod objective;
 mod state;

@@ -59,6 +59,11 @@ impl MotionGate {
             // Nobody asks.
             return Ok(Vec::new());
         }
+        self.may_be_active()
+    }
+
+    /// The active objective where it is known, else all.
+    pub(super) fn may_be_active(&self) -> Result<Vec<ObjectiveId>, ScopeError> {
         let told = self.current_objective()?;
         Ok(match told.filter(|_| !self.objective_is_reported()) {
             Some(id) => vec![id],

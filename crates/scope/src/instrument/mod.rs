@@ -7,8 +7,8 @@ mod objective;
 mod waiting;
 
 use crate::{
-    Absent, Camera, CancelToken, Clock, Devices, FlatField, Light, MotionGate, Obeying, Objective,
-    ObjectiveId, Rules, ScopeError, StagePose,
+    Absent, AskImmersion, Camera, CancelToken, Clock, Devices, FlatField, Light, MotionGate,
+    Obeying, Objective, ObjectiveId, Rules, ScopeError, StagePose,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -40,6 +40,8 @@ pub struct Instrument {
     objective_changes: AtomicU64,
     /// A frame that nobody waits for any more.
     given_up: Mutex<Option<std::thread::JoinHandle<()>>>,
+    /// Whoever is asked before another medium comes between objective and specimen. Without, it is refused.
+    ask_immersion: Option<AskImmersion>,
     /// Let go last, after the devices.
     kept: Vec<Box<dyn std::any::Any + Send + Sync>>,
 }
@@ -69,6 +71,7 @@ impl Instrument {
             frames: AtomicU64::new(0),
             objective_changes: AtomicU64::new(0),
             given_up: Mutex::new(None),
+            ask_immersion: None,
             kept: Vec::new(),
         })
     }
@@ -77,6 +80,13 @@ impl Instrument {
     #[must_use]
     pub fn keeping(mut self, what: impl std::any::Any + Send + Sync) -> Self {
         self.kept.push(Box::new(what));
+        self
+    }
+
+    /// Asks somebody before an objective comes that works in another medium. Without this such a change is refused.
+    #[must_use]
+    pub fn asking_before_immersion(mut self, ask: AskImmersion) -> Self {
+        self.ask_immersion = Some(ask);
         self
     }
 

@@ -15,8 +15,11 @@ impl Instrument {
     /// as much higher or lower as it was found to be in focus before, or short of the old height by the rule's margin. A
     /// stage that was retracted already stays so.
     ///
+    /// Where the objective works in another medium than the one before, somebody is asked first, before anything moves; that answer
+    /// is for this one change.
+    ///
     /// # Errors
-    /// [`ScopeError::NoSuchObjective`], and as [`Instrument::move_to`]. When the way back is refused the stage stays retracted.
+    /// [`ScopeError::NoSuchObjective`], [`ScopeError::ImmersionNotAgreed`], and as [`Instrument::move_to`]. When the way back is refused the stage stays retracted.
     pub fn select_objective(&self, id: &ObjectiveId) -> Result<(), ScopeError> {
         self.check_cancel()?;
         self.gate.objective(id)?;
@@ -25,6 +28,7 @@ impl Instrument {
         if before.as_ref() == Some(id) {
             return Ok(());
         }
+        self.ask_before_immersion(id)?;
         let ChangeRule::Retracted { margin, .. } = self.gate.rules().change else {
             return self.turn(id);
         };
@@ -66,6 +70,26 @@ impl Instrument {
             }
         }
         Ok(())
+    }
+
+    /// Where the objective works in another medium, asks whether the specimen is ready for it.
+    fn ask_before_immersion(&self, id: &ObjectiveId) -> Result<(), ScopeError> {
+        let Some(change) = self.gate.immersion_change(id)? else {
+            return Ok(());
+        };
+        let wanted = || !self.gate.is_cancelled();
+        let ask = self.ask_immersion.as_ref();
+        if ask.is_some_and(|ask| ask(&change, &wanted)) {
+            self.gate.agree_to_immersion(&change);
+            return self.check_cancel();
+        }
+        self.check_cancel()?;
+        let refused = ScopeError::ImmersionNotAgreed { change };
+        self.gate.tell(|| GateEvent::ChangeRefused {
+            to: id.clone(),
+            why: refused.to_string(),
+        });
+        Err(refused)
     }
 
     fn turn(&self, id: &ObjectiveId) -> Result<(), ScopeError> {

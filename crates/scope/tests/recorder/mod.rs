@@ -7,9 +7,9 @@
 )]
 
 use scopeservo_scope::{
-    Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, Instrument, Kinematics, LargestStep,
-    Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules, ScopeError,
-    Stage, StageInfo, StagePose, Timestamp, VirtualClock, Workspace, Zone,
+    Axis, AxisInfo, AxisRange, CancelToken, ChangeRule, Clock, Immersion, Instrument, Kinematics,
+    LargestStep, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId, PositiveZ, Rules,
+    ScopeError, Stage, StageInfo, StagePose, Timestamp, VirtualClock, Workspace, Zone,
 };
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -28,7 +28,8 @@ pub const CLAMP: [f64; 2] = [4e-3, 6e-3];
 pub const CLAMP_Z: f64 = -3e-3;
 /// By this much a place that is reported may miss.
 pub const SLACK: f64 = 1.1e-6;
-pub const OBJECTIVES: [&str; 2] = ["10x", "40x"];
+/// The last works in oil.
+pub const OBJECTIVES: [&str; 3] = ["10x", "40x", "60x"];
 
 /// A move: from where, to where, and how far on the way each axis is. They go at speeds of their own.
 pub struct Way {
@@ -44,6 +45,8 @@ pub struct World {
     pub stopped: bool,
     pub objective: Option<usize>,
     pub turning: Option<(usize, u32)>,
+    /// What is on the specimen.
+    pub medium: Immersion,
     /// The height at which the last turn began.
     pub turned_at: Option<f64>,
     pub fault: Option<Fault>,
@@ -105,6 +108,7 @@ impl World {
             stopped: false,
             objective: Some(0),
             turning: None,
+            medium: Immersion::Air,
             turned_at: None,
             fault: None,
             wall: None,
@@ -132,7 +136,7 @@ impl World {
     pub fn judge(&mut self, goal: Option<[f64; 3]>) {
         let from = self.said();
         let tops = match self.objective {
-            Some(0) => [LIMIT; 3],
+            Some(0 | 2) => [LIMIT; 3],
             _ => [NARROW_X, LIMIT, NARROW],
         };
         let outside = |at: [f64; 3], slack: f64| -> Vec<usize> {
@@ -254,6 +258,10 @@ impl Devices {
             magnification: 100.0,
             numerical_aperture: 0.25,
             nominal_um_per_px: 1.0,
+            immersion: match *id {
+                "60x" => Immersion::Oil,
+                _ => Immersion::Air,
+            },
         };
         Self {
             world: Arc::new(Mutex::new(World::new())),
@@ -374,6 +382,12 @@ impl Nosepiece for Devices {
             world.broken.push("a change on top of a change".into());
         }
         world.judge(None);
+        let (works_in, there) = (self.objectives[index].immersion, world.medium);
+        if works_in != there {
+            world.broken.push(format!(
+                "{to}, which works in {works_in}, comes into {there}"
+            ));
+        }
         world.turned_at = Some(world.at[2]);
         world.objective = None;
         world.turning = Some((index, 3));

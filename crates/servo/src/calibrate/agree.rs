@@ -93,6 +93,7 @@ fn heading(map: Mat2) -> f64 {
 mod tests {
     use super::*;
     use crate::CALIBRATION_SCHEMA;
+    use scopeservo_scope::Immersion;
 
     const FACTORS: [f64; 3] = [4.0, 2.0, 1.0];
 
@@ -102,6 +103,7 @@ mod tests {
             magnification: 400.0 / factor,
             numerical_aperture: 0.25,
             nominal_um_per_px: 0.5 * factor,
+            immersion: Immersion::Air,
         };
         FACTORS.iter().enumerate().map(of).collect()
     }

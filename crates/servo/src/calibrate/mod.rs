@@ -7,6 +7,7 @@ mod agree;
 mod chain;
 pub mod joint;
 mod options;
+pub(crate) mod told;
 mod two_step;
 
 use crate::procedure::{Procedure, Progress, withdrawn};
@@ -18,6 +19,7 @@ use two_step::TwoStep;
 
 pub use agree::agree;
 pub use options::{CalibrateOptions, CalibrationMethod};
+pub use told::{ChainPair, ChainPlace, ChainView};
 #[cfg(test)]
 pub(crate) use two_step::DIRECTIONS;
 

@@ -67,9 +67,19 @@ impl Focus {
             .map(|z| z.um());
         let known = if self.here { Some(z) } else { known };
         let near = self.width_um(coarsest.min(FINER));
-        match known.filter(|known| (known - z).abs() <= near) {
-            Some(known) => self.fine(scope, known, true)?,
-            None => self.plan_um = vec![self.outwards_um.remove(0)],
+        let predicted = scope.predicted_focus(&self.objective.id).map(|z| z.um());
+        let within = |z_um: &f64| (z_um - z).abs() <= self.options.half_range_um;
+        let expected = match known {
+            Some(known) => Some(known).filter(|known| (known - z).abs() <= near),
+            None => predicted.filter(within),
+        };
+        if let Some(expected) = expected {
+            self.fine(scope, expected, true)?;
+        }
+        // Where nothing is expected, or it lies beyond the bounds.
+        if self.plan_um.is_empty() {
+            self.step = Step::Outwards;
+            self.plan_um = vec![self.outwards_um.remove(0)];
         }
         Ok(())
     }

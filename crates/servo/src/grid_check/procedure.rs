@@ -186,6 +186,7 @@ impl GridCheck {
                 stage: at,
                 shift_px,
                 inliers,
+                chain: None,
             },
         );
         match seen {

@@ -1,12 +1,14 @@
 //! Control: pose error to velocity, and the velocity as a motion of the stage. A law is one file here, or anything that implements
 //! [`ControlLaw`].
 
+mod direct;
 mod proportional;
 
-use crate::{Calibration, Motion2, PoseEstimate};
+use crate::{Calibration, Motion2, PoseError, PoseEstimate};
 use scopeservo_geometry::{Mat2, Vec2};
 use serde::{Deserialize, Serialize};
 
+pub use direct::Direct;
 pub use proportional::{Proportional, control_law};
 
 /// A velocity v_c of {C} in its own axes: metres and radians per iteration.
@@ -31,8 +33,9 @@ impl Velocity {
 
 /// How an error becomes a velocity.
 pub trait ControlLaw: Send + Sync {
-    /// The velocity for one iteration. An error that is known badly may be answered by less.
-    fn velocity(&self, error: &PoseEstimate) -> Velocity;
+    /// The velocity for one iteration with the calibration of the active objective. An error, or a calibration, that is known badly may be
+    /// answered by less.
+    fn velocity(&self, error: &PoseEstimate, view: &Calibration) -> Velocity;
 }
 
 /// The motion of the optics, in stage axes, that carries out `velocity` for one iteration: Eq. (5) backwards. Without a
@@ -55,6 +58,23 @@ pub fn motion_of(velocity: &Velocity, calibration: &Calibration) -> Motion2 {
             shift_m[0] + eta[0] - turned[0],
             shift_m[1] + eta[1] - turned[1],
         ],
+    }
+}
+
+/// The error that is left of one after a motion of the optics: [`motion_of`] backwards, and the step that its velocity makes.
+pub(crate) fn error_after(
+    error: &PoseError,
+    motion: &Motion2,
+    calibration: &Calibration,
+) -> PoseError {
+    let stage_from_camera = calibration.stage_from_camera();
+    let eta = calibration.rotation_centre_m.unwrap_or_default();
+    let turned = Mat2::rotation(motion.alpha_rad) * eta;
+    let shift_m = [0, 1].map(|k| motion.d_m[k] - eta[k] + turned[k]);
+    let along = Mat2::rotation(error.theta_rad) * (stage_from_camera.transpose() * shift_m);
+    PoseError {
+        t_m: [error.t_m[0] + along[0], error.t_m[1] + along[1]],
+        theta_rad: error.theta_rad + motion.alpha_rad * stage_from_camera.det().signum(),
     }
 }
 
@@ -81,6 +101,24 @@ mod tests {
         let (s, c) = 0.01f64.sin_cos();
         let r_ec = Mat2([[-s, -c], [-c, s]]);
         calibration(r_ec * Mat2::diagonal(-1.0 / 1_953_155.0, -1.0 / 1_981_235.0))
+    }
+
+    #[test]
+    fn what_is_left_after_a_motion_is_what_the_law_leaves() {
+        let error = PoseError {
+            t_m: [300e-6, -200e-6],
+            theta_rad: 0.7,
+        };
+        for calibration in [paper(), calibration(Mat2::rotation(0.4) * 5e-7)] {
+            for lambda in [0.2, 1.0] {
+                let motion = motion_of(&control_law(&error, lambda), &calibration);
+                let left = error_after(&error, &motion, &calibration);
+                for k in 0..2 {
+                    assert!((left.t_m[k] - (1.0 - lambda) * error.t_m[k]).abs() < 1e-15);
+                }
+                assert!((left.theta_rad - (1.0 - lambda) * error.theta_rad).abs() < 1e-12);
+            }
+        }
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The paper's law, Eqs. (21) and (22).
 
 use super::{ControlLaw, Velocity};
-use crate::{PoseError, PoseEstimate};
+use crate::{Calibration, PoseError, PoseEstimate};
 use scopeservo_geometry::Mat2;
 
 /// Each iteration takes away the share `lambda` of the error.
@@ -12,7 +12,7 @@ pub struct Proportional {
 }
 
 impl ControlLaw for Proportional {
-    fn velocity(&self, estimate: &PoseEstimate) -> Velocity {
+    fn velocity(&self, estimate: &PoseEstimate, _: &Calibration) -> Velocity {
         control_law(&estimate.error, self.lambda)
     }
 }

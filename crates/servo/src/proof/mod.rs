@@ -28,6 +28,8 @@ const WITNESSES: usize = 3;
 /// A target that was saved without moving may be text, which shifts by a letter as digits come, and at times as the stage went: then the
 /// view must be seen to follow from so many frames.
 const FOLLOWED_FROM: usize = 2;
+/// So many frames that are bent by what is fixed to the camera are looked at again.
+const BENT: u8 = 3;
 /// Steps aside in one leg, at most.
 const ASIDES: u8 = 2;
 /// The transform of the places that moved must agree with the one of all places within so many sigmas,
@@ -113,6 +115,9 @@ pub(crate) struct Proof {
     /// What is known to be fixed to the camera.
     pub(crate) fixed: FixedPlaces,
     asides: u8,
+    /// Frames whose transform was bent by what is fixed to the camera.
+    #[serde(default)]
+    bent: u8,
     /// Whether nothing else explains the view as well.
     pub(crate) unique: bool,
     /// Whether a step aside, and another one on, were seen to be followed.
@@ -128,10 +133,16 @@ impl Proof {
         self.asides < ASIDES
     }
 
+    /// Counts a frame that was bent; whether there were several.
+    pub(crate) fn bends_too_often(&mut self) -> bool {
+        self.bent = self.bent.saturating_add(1);
+        self.bent > BENT
+    }
+
     /// What was seen so far may have been seen of the dust.
     pub(crate) fn begin_anew(&mut self) {
         self.witnesses.clear();
-        self.unique = false;
+        (self.unique, self.asked) = (false, None);
     }
 
     /// Counts one; `false` when none is left.

@@ -1,6 +1,6 @@
 //! The answer of a run.
 
-use crate::{Calibration, ErrorCode, ServoEnd, ServoError};
+use crate::{Calibration, ErrorCode, LimitedBy, ServoEnd, ServoError};
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 
@@ -52,6 +52,8 @@ pub enum Reason {
     Unproven,
     /// The view does not rest.
     Drifting,
+    /// What was seen contradicts what the stage was told to do.
+    Contradicted,
 }
 
 /// What happened at one magnification.
@@ -80,6 +82,9 @@ pub struct Outcome {
     pub estimated_error_um: Option<f64>,
     /// Last measured angle, degrees.
     pub estimated_error_deg: Option<f64>,
+    /// What kept the view from coming nearer than it did, where that is not within the tolerance.
+    #[serde(default)]
+    pub limited_by: Option<LimitedBy>,
     /// Width and height of the widest view, um on the specimen: what looks the same farther away could not be seen.
     #[serde(default)]
     pub unique_within_um: Option<[f64; 2]>,
@@ -102,7 +107,8 @@ impl Reason {
                 Self::CalibrationFailed
             }
             ErrorCode::OutsideLimits => Self::OutsideLimits,
-            ErrorCode::Refused
+            ErrorCode::Immersion
+            | ErrorCode::Refused
             | ErrorCode::Interrupted
             | ErrorCode::Fault
             | ErrorCode::Internal => return None,

@@ -1,16 +1,21 @@
 //! The run as a step machine.
 
-use super::words;
-use super::{Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, SoFar, Verdict};
+use super::{
+    Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Shortest, SoFar, Verdict,
+};
+mod ending;
+
+use super::{ahead, parcentric, words};
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
+use crate::servo::watch::Promise;
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
-    Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions,
-    Localizer, Phase, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink, Target,
-    VisionOptions,
+    Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions, Law,
+    Localizer, Phase, PlanarPose, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink,
+    SwitchingReport, Target, VisionOptions,
 };
-use scopeservo_scope::{Instrument, ObjectiveId};
+use scopeservo_scope::{Immersion, Instrument, ObjectiveId};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -62,7 +67,19 @@ pub struct Reposition {
     /// Objectives whose calibration was known before the run.
     #[serde(default)]
     known: BTreeSet<ObjectiveId>,
+    /// What is known of the nosepiece.
+    #[serde(default)]
+    switchings: Vec<SwitchingReport>,
+    /// What was on the specimen at the beginning, where that was known.
+    #[serde(default)]
+    immersion: Option<Immersion>,
     done: Vec<MagnificationResult>,
+    /// Where the stage stood when the run began.
+    #[serde(default)]
+    began: Option<PlanarPose>,
+    /// What the last move of the leg before was to do.
+    #[serde(default)]
+    promised: Option<Promise>,
 }
 
 impl Reposition {
@@ -75,7 +92,11 @@ impl Reposition {
             state: State::Begin,
             calibrations: BTreeMap::new(),
             known: BTreeSet::new(),
+            switchings: Vec::new(),
+            immersion: None,
             done: Vec::new(),
+            began: None,
+            promised: None,
         }
     }
 
@@ -132,10 +153,23 @@ impl Reposition {
         self
     }
 
+    /// Takes what is known of where objectives look beside each other.
+    #[must_use]
+    pub fn with_switchings(self, switchings: Vec<SwitchingReport>) -> Self {
+        Self { switchings, ..self }
+    }
+
     /// The calibrations that were made on the way, the newest of each objective: worth keeping, however the run ends.
     pub fn calibrations_made(&self) -> impl Iterator<Item = (&ObjectiveId, &Calibration)> {
         let made = self.calibrations.iter();
         made.filter(|(objective, _)| !self.known.contains(*objective))
+    }
+
+    fn policy(&self) -> &dyn LegPolicy {
+        match self.options.servo.law {
+            Law::Direct => &Shortest,
+            Law::Proportional => &Ladder,
+        }
     }
 
     /// What the policy goes by.
@@ -144,6 +178,7 @@ impl Reposition {
             objectives: scope.gate().objectives(),
             target: &target.objective,
             target_is_calibrated: self.calibrations.contains_key(&target.objective),
+            immersion: self.immersion,
             done: &self.done,
         }
     }
@@ -171,11 +206,14 @@ impl Reposition {
         target: &Target,
     ) -> Result<Option<Outcome>, ServoError> {
         scope.objective(&target.objective)?;
+        let media = scope.gate().immersions()?;
+        self.immersion = media.first().copied().filter(|_| media.len() == 1);
+        self.began = Some(PlanarPose::from(&scope.gate().position()?));
         let so_far = self.so_far(scope, target);
-        let first = Ladder.next(&so_far);
+        let first = self.policy().next(&so_far);
         let engine = self.options.vision.engine.info();
         let event = Event::Started {
-            objectives: Ladder.outlook(&so_far),
+            objectives: self.policy().outlook(&so_far),
             target_objective: target.objective.clone(),
             engine: engine.name,
             cpu_level: engine.cpu_level,
@@ -202,6 +240,11 @@ impl Reposition {
         sink: &mut dyn Sink,
     ) -> Result<Option<Outcome>, ServoError> {
         let target = self.prepared()?;
+        // Under direct control all objectives after this one may take over.
+        let above = match self.options.servo.law {
+            Law::Direct => self.policy().outlook(&self.so_far(scope, &target)),
+            Law::Proportional => Vec::new(),
+        };
         // After the last leg's calibration K_t is the newer of its two measurements.
         let target_calibration = self.target_calibration(&target);
         let (leg, work) = match &mut self.state {
@@ -239,10 +282,19 @@ impl Reposition {
                     ServoError::CannotGoOn("a stored run lacks a calibration; start it anew".into())
                 };
                 let here = self.calibrations.get(leg.objective());
+                let here = here.ok_or_else(missing)?;
+                let at_target = target_calibration.as_ref().ok_or_else(missing)?;
+                let hand_overs = ahead::hand_overs(
+                    scope,
+                    &above,
+                    (&self.calibrations, &self.switchings),
+                    (here, at_target),
+                );
                 let task = ServoTask {
                     target: &target,
-                    view_calibration: here.ok_or_else(missing)?,
-                    target_calibration: target_calibration.as_ref().ok_or_else(missing)?,
+                    view_calibration: here,
+                    target_calibration: at_target,
+                    hand_overs: &hand_overs,
                     vision: &self.options.vision,
                     options: &self.options.servo,
                     law: None,
@@ -252,15 +304,30 @@ impl Reposition {
                     return Ok(None);
                 };
                 let seen = servo.seen();
+                self.promised = servo.promised();
                 self.done.push(MagnificationResult {
                     magnification: scope.objective(leg.objective())?.magnification,
                     calibration: task.view_calibration.clone(),
                     objective: leg.objective().clone(),
                     end: end.clone(),
                 });
+                self.go_back(scope, &end)?;
                 Ok(self.servoed(scope, &target, &end, seen))
             }
         }
+    }
+
+    /// What contradicts the stage's moves ends where the run began, on axes that were seen to obey; else the stage stands still.
+    fn go_back(&self, scope: &Instrument, end: &ServoEnd) -> Result<(), ServoError> {
+        let (Some(began), ServoEnd::Contradicted { why, .. }) = (self.began, end) else {
+            return Ok(());
+        };
+        if why.leaves_standing() {
+            return Ok(());
+        }
+        let present = scope.gate().position()?;
+        scope.move_to(&began.request(&present))?;
+        Ok(())
     }
 
     /// The objective is active and in focus.
@@ -270,7 +337,25 @@ impl Reposition {
         sink: &mut dyn Sink,
         leg: Leg,
     ) -> Result<(), ServoError> {
-        if matches!(&leg, Leg::Servo(objective) if self.known.contains(objective)) {
+        let before = self.done.last();
+        if let Some(before) = before.filter(|d| matches!(d.end, ServoEnd::Converged(_)))
+            && let Some(offset_um) = parcentric::offset_um(
+                [&before.objective, leg.objective()],
+                &self.switchings,
+                &self.calibrations,
+            )
+        {
+            let own = self.calibrations.get(leg.objective());
+            let nominal = scope.objective(leg.objective())?.nominal_um_per_px;
+            let um_per_px = own.map_or(nominal, Calibration::um_per_px);
+            parcentric::keep_centre(scope, offset_um, um_per_px)?;
+        }
+        // The paper calibrates the target's objective again for the last leg, so that its error cancels; a joint calibration has none to speak of.
+        let known = |objective: &ObjectiveId| match self.options.servo.law {
+            Law::Direct => self.calibrations.contains_key(objective),
+            Law::Proportional => self.known.contains(objective),
+        };
+        if matches!(&leg, Leg::Servo(objective) if known(objective)) {
             self.servo(scope, sink, leg);
             return Ok(());
         }
@@ -287,7 +372,7 @@ impl Reposition {
 
     fn servo(&mut self, scope: &Instrument, sink: &mut dyn Sink, leg: Leg) {
         self.enter(scope, sink, Phase::Servo, &leg);
-        let work = Work::Servo(Box::default());
+        let work = Work::Servo(Box::new(Servo::after(self.promised.take())));
         self.state = State::Under { leg, work };
     }
 
@@ -303,59 +388,10 @@ impl Reposition {
         match leg {
             Leg::Servo(_) => self.servo(scope, sink, leg),
             Leg::Calibrate(_) => {
-                if let Some(next) = Ladder.next(&self.so_far(scope, target)) {
+                if let Some(next) = self.policy().next(&self.so_far(scope, target)) {
                     self.bring(next);
                 }
             }
-        }
-    }
-
-    /// The answer when a loop's end is the run's end. A target that was seen and lost again may be seen better by the next objective.
-    fn servoed(
-        &mut self,
-        scope: &Instrument,
-        target: &Target,
-        end: &ServoEnd,
-        seen: bool,
-    ) -> Option<Outcome> {
-        let next = Ladder.next(&self.so_far(scope, target));
-        let goes_on = match end {
-            ServoEnd::Converged(_) => true,
-            ServoEnd::Lost(_) => seen,
-            _ => false,
-        };
-        if let Some(next) = next.filter(|_| goes_on) {
-            self.bring(next);
-            return None;
-        }
-        let at = self.done.last().map_or(0.0, |d| d.magnification);
-        let seen_below = self.done.len() > 1;
-        let (verdict, reason, message) =
-            words::answer_of(end, at, seen_below, self.options.servo.angle_deg);
-        Some(self.outcome(verdict, reason, message))
-    }
-
-    fn outcome(&self, verdict: Verdict, reason: Reason, message: String) -> Outcome {
-        let last = self.done.last().and_then(|d| d.end.result());
-        Outcome {
-            verdict,
-            reason,
-            message,
-            estimated_error_um: last.map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
-            estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
-            unique_within_um: self.done.first().map(|widest| {
-                let size = widest.calibration.image_size_px;
-                size.map(|px| px as f64 * widest.calibration.um_per_px())
-            }),
-            magnifications: self.done.clone(),
-        }
-    }
-
-    /// Turns what the method or the limits refuse into an answer; faults and interruptions stay errors.
-    fn answer(&self, error: ServoError) -> Result<Outcome, ServoError> {
-        match Reason::of(&error) {
-            Some(reason) => Ok(self.outcome(Verdict::Refused, reason, error.to_string())),
-            None => Err(error),
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::{Reason, Verdict};
 use crate::target::MIN_TARGET_FEATURES;
 use crate::words::rival_in_words;
-use crate::{ServoEnd, ServoResult};
+use crate::{Contradiction, LimitedBy, ServoEnd, ServoResult};
 
 /// The answer that the end of the last loop means, at the magnification `at`. `seen_below`: the target was seen at a lower one.
 pub(super) fn answer_of(
@@ -24,7 +24,7 @@ pub(super) fn answer_of(
                 format!("the saved view was not found at {at}x: {reason}. {advice}, and try again");
             (Verdict::NotFound, Reason::TargetNotInView, message)
         }
-        ServoEnd::IterationLimit(result) => {
+        ServoEnd::IterationLimit(result) | ServoEnd::HandedOver { last: result, .. } => {
             let message = format!(
                 "at {at}x the view was still {:.2} um off after {} iterations; raise the limit or lambda, or look for \
                      vibration",
@@ -62,6 +62,10 @@ pub(super) fn answer_of(
             );
             (Verdict::Refused, Reason::Drifting, message)
         }
+        ServoEnd::Contradicted { why, .. } => {
+            let message = format!("at {at}x the run was stopped: {}", contradiction(*why));
+            (Verdict::Refused, Reason::Contradicted, message)
+        }
         ServoEnd::Diverged(result) => {
             let message = format!(
                 "at {at}x the view moved away, to {:.0} um, and the run was stopped: calibrate again and check that \
@@ -85,12 +89,51 @@ fn converged(result: &ServoResult, angle_deg: f64) -> (Verdict, Reason, String) 
         );
         return (Verdict::Refused, Reason::CannotTurn, message);
     }
+    let limit = match result.limited_by {
+        Some(LimitedBy::Repeatability) => ", as near as this stage comes back to a place",
+        Some(LimitedBy::Measurement) => ", as near as this little texture tells",
+        None => "",
+    };
     let message = format!(
-        "the saved view is back, {:.2} um and {:.4} deg off by its own measurement",
+        "the saved view is back, {:.2} um and {:.4} deg off by its own measurement{limit}",
         result.error.distance_um(),
         result.error.angle_deg().abs()
     );
     (Verdict::Arrived, Reason::Converged, message)
+}
+
+/// What contradicts the moves, and what to do.
+fn contradiction(why: Contradiction) -> String {
+    match why {
+        Contradiction::NothingMoved => {
+            "the stage was moved, and the view stayed where it was. Look for a motor that is off, a stage that stands against \
+             something, and a camera that shows an old picture"
+                .into()
+        }
+        Contradiction::AxisStands(axis) => format!(
+            "the view did not follow {axis}. Look for a motor that is off or stands against something, then `check`"
+        ),
+        Contradiction::AxisReversed(axis) => format!(
+            "{axis} goes the other way than when it was calibrated. Look at its sign in the description, then `calibrate`"
+        ),
+        Contradiction::Reversed => {
+            "x and y go the other way than when they were calibrated. Was the camera turned, or a sign changed? Then `calibrate`"
+                .into()
+        }
+        Contradiction::Swapped => {
+            "x and y are exchanged since the calibration. Look at the axes in the description, then `calibrate`".into()
+        }
+        Contradiction::Share(share) => format!(
+            "the view went {:.0} % of what was asked. Another objective may be in than is told, the images binned otherwise, or a \
+             unit changed: look, then `calibrate`",
+            100.0 * share
+        ),
+        Contradiction::Elsewhere => {
+            "the view went elsewhere than the stage was sent. The stage lost steps, the slide slipped, or something was moved by hand: \
+             see that all is fast, then try again, or `check`"
+                .into()
+        }
+    }
 }
 
 /// A target with too little to come back to.

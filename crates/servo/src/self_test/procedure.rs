@@ -345,6 +345,7 @@ impl SelfTest {
             stage,
             shift_px,
             inliers,
+            chain: None,
         }
     }
 

@@ -141,6 +141,10 @@ impl Servo {
                 let passes = pose.is_some_and(|pose| test.passes(&pose.error, &moved));
                 Belief::Of(Box::new(sight.relocated(*moved, task)), passes)
             }
+            // A step aside shows at once what looking again and again shows place by place.
+            Proved::Bent if self.proof.bends_too_often() && self.proof.may_step_aside() => {
+                Belief::Unknown
+            }
             Proved::Bent => Belief::LookAgain,
             Proved::Moved(_) | Proved::Nothing => Belief::Unknown,
         }
@@ -178,7 +182,10 @@ impl Servo {
         match aside {
             Aside::Nothing { moved_um } => Ok(Progress::Done(ServoEnd::NothingMoves { moved_um })),
             Aside::Seen(seen) if !self.went_along(task, scope, sink, sight, &seen)? => {
-                Ok(Progress::Done(ServoEnd::Unproven(last)))
+                Ok(Progress::Done(match self.watch.suspects() {
+                    Some(why) => ServoEnd::Contradicted { why, last },
+                    None => ServoEnd::Unproven(last),
+                }))
             }
             Aside::Seen(seen) => {
                 // The error begins anew from here; and what was believed so far may have been believed of the dust.

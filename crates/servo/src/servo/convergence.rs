@@ -1,7 +1,7 @@
 //! The convergence test: when a loop has arrived, and when it gives up.
 
 use crate::proof::Drift;
-use crate::{PoseError, ServoEnd, ServoError, ServoOptions, ServoResult};
+use crate::{LimitedBy, PoseError, ServoEnd, ServoError, ServoOptions, ServoResult};
 use scopeservo_registration::{Estimate, NotFound};
 use scopeservo_scope::Instrument;
 use serde::{Deserialize, Serialize};
@@ -20,13 +20,82 @@ pub(crate) struct Criteria<'a> {
     pub(crate) turns: bool,
     pub(crate) view_um_per_px: f64,
     pub(crate) target_um_per_px: f64,
+    /// How arrivals of this stage scatter: the view's distance from its goal, root mean square, um, and its angle, standard deviation, deg. `None`
+    /// where nothing but the tolerance counts.
+    pub(crate) scatter: Option<[f64; 2]>,
+    /// So many frames were as near as this stage can bring the view, and not within the tolerance.
+    pub(crate) nearly: usize,
 }
+
+/// After so many arrivals that were as good as the stage can make them, the next is good enough.
+const NEARLY: usize = 3;
+/// What is known so many times worse than the tolerance asks for is no arrival, whatever the stage can do.
+const KNOWN: f64 = 2.5;
+/// What is within so many standard deviations is as good as it gets.
+const NEARLY_SIGMAS: f64 = 2.0;
 
 impl Criteria<'_> {
     /// Within `position_px` pixels of the present view and, where the stage can turn, within `angle_deg` times the ratio of view pixel
     /// to target pixel. With the target's own objective, where passing means arrival, the error must be inside by `sure_sigmas`
-    /// standard deviations.
+    /// standard deviations; or, where a stage has not come so near in some arrivals, as near as it can.
     pub(crate) fn passes(&self, error: &PoseError, estimate: &Estimate) -> bool {
+        self.is_within(error, estimate) || self.nearly >= NEARLY && self.is_nearly(error, estimate)
+    }
+
+    /// As near as this stage can bring the view and these images can tell.
+    fn is_nearly(&self, error: &PoseError, estimate: &Estimate) -> bool {
+        let Some([scatter_um, scatter_deg]) = self.scatter.filter(|_| self.is_arrival) else {
+            return false;
+        };
+        let sigma_um = estimate.sigma_px * std::f64::consts::SQRT_2 * self.target_um_per_px;
+        let sigma_deg = estimate.sigma_angle_rad.to_degrees();
+        let (sure, tolerance_um) = (
+            self.options.sure_sigmas,
+            self.options.position_px * self.view_um_per_px,
+        );
+        let known = sure * sigma_um <= KNOWN * tolerance_um
+            && (!self.turns || sure * sigma_deg <= KNOWN * self.options.angle_deg);
+        let nearly = |off: f64, scatter: f64, sigma: f64, tolerance: f64| {
+            off <= (NEARLY_SIGMAS * f64::hypot(scatter, sigma)).max(tolerance)
+        };
+        known
+            && nearly(error.distance_um(), scatter_um, sigma_um, tolerance_um)
+            && (!self.turns
+                || nearly(
+                    error.angle_deg().abs(),
+                    scatter_deg,
+                    sigma_deg,
+                    self.options.angle_deg,
+                ))
+    }
+
+    /// Whether it is not within the tolerance, and as near as it can be.
+    pub(crate) fn only_nearly(&self, error: &PoseError, estimate: &Estimate) -> bool {
+        !self.is_within(error, estimate) && self.is_nearly(error, estimate)
+    }
+
+    /// What kept the view from coming nearer, where that is not surely within the tolerance.
+    fn limit(&self, result: &ServoResult) -> Option<LimitedBy> {
+        if self.nearly < NEARLY {
+            return None;
+        }
+        let tolerances = [
+            self.options.position_px * self.view_um_per_px,
+            self.options.angle_deg,
+        ];
+        let off = [result.error.distance_um(), result.error.angle_deg().abs()];
+        let unsure = [result.sigma_um / std::f64::consts::SQRT_2, result.sigma_deg]
+            .map(|sigma| self.options.sure_sigmas * sigma);
+        let counts = if self.turns { 2 } else { 1 };
+        let within = |k: usize, off: f64| off <= tolerances[k];
+        match (0..counts).all(|k| within(k, off[k])) {
+            true if (0..counts).all(|k| within(k, off[k] + unsure[k])) => None,
+            true => Some(LimitedBy::Measurement),
+            false => Some(LimitedBy::Repeatability),
+        }
+    }
+
+    fn is_within(&self, error: &PoseError, estimate: &Estimate) -> bool {
         let sigmas = if self.is_arrival {
             self.options.sure_sigmas
         } else {
@@ -84,6 +153,9 @@ pub(crate) struct Convergence {
     /// Frames in a row that passed.
     passed: Vec<Measured>,
     drift: Drift,
+    /// Frames after a move that were only nearly there.
+    #[serde(default)]
+    pub(crate) nearly: usize,
     /// The last frame, while nothing moved since.
     resting: Option<Measured>,
 }
@@ -142,7 +214,11 @@ impl Convergence {
         }
         if self.passed.len() >= criteria.options.confirmations.max(1) {
             let error = mean(&self.passed);
-            Standing::Ended(ServoEnd::Converged(self.result(Measured { error, ..now })))
+            let result = self.result(Measured { error, ..now });
+            Standing::Ended(ServoEnd::Converged(ServoResult {
+                limited_by: criteria.limit(&result),
+                ..result
+            }))
         } else if criteria.diverged(&now.error, &first) {
             Standing::Ended(ServoEnd::Diverged(self.result(now)))
         } else if self.iteration + 1 >= criteria.options.max_iterations {
@@ -215,6 +291,7 @@ impl Convergence {
             error: now.error,
             sigma_um: f64::hypot(now.sigma_um, scatter_um(&self.passed)),
             sigma_deg: now.sigma_deg,
+            limited_by: None,
         }
     }
 }
@@ -265,6 +342,8 @@ mod tests {
             turns: true,
             view_um_per_px: 0.5,
             target_um_per_px: 0.5,
+            scatter: None,
+            nearly: 0,
         }
     }
 

@@ -1,7 +1,8 @@
 //! How a servo loop ends, and what is known then.
 
-use crate::PoseError;
+use crate::{Contradiction, PoseError};
 use scopeservo_registration::{NotFound, Rival};
+use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 
 /// How a loop ended.
@@ -10,6 +11,22 @@ use serde::{Deserialize, Serialize};
 pub enum ServoEnd {
     /// The view is there.
     Converged(ServoResult),
+    /// Below the target's own magnification: the last move surely brought the target into the view of a higher one.
+    HandedOver {
+        /// To which objective.
+        to: ObjectiveId,
+        /// Within this of its goal, um: three standard deviations.
+        lands_within_um: f64,
+        /// The last error, before that move.
+        last: ServoResult,
+    },
+    /// What was seen after the last moves contradicts what they were to do.
+    Contradicted {
+        /// Why, as far as it shows.
+        why: Contradiction,
+        /// The last error.
+        last: ServoResult,
+    },
     /// The target is not in the view.
     Lost(NotFound),
     /// The iterations ran out.
@@ -47,6 +64,7 @@ impl ServoEnd {
             | Self::IterationLimit(r)
             | Self::Diverged(r)
             | Self::Drifting { last: r, .. } => Some(r),
+            Self::HandedOver { last, .. } | Self::Contradicted { last, .. } => Some(last),
             // What is not known to be the specimen says nothing of its distance.
             Self::Lost(_)
             | Self::Ambiguous { .. }
@@ -59,6 +77,8 @@ impl ServoEnd {
     pub fn word(&self) -> &'static str {
         match self {
             Self::Converged(_) => "converged",
+            Self::HandedOver { .. } => "handed_over",
+            Self::Contradicted { .. } => "contradicted",
             Self::Lost(_) => "lost",
             Self::IterationLimit(_) => "iteration_limit",
             Self::Diverged(_) => "diverged",
@@ -68,6 +88,16 @@ impl ServoEnd {
             Self::Drifting { .. } => "drifting",
         }
     }
+}
+
+/// What an arrival is limited by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LimitedBy {
+    /// How well the stage comes back to a place.
+    Repeatability,
+    /// How well the images tell.
+    Measurement,
 }
 
 /// The last error and how well it is known.
@@ -85,4 +115,7 @@ pub struct ServoResult {
     /// Standard deviation of the error's angle, degrees, of the registration.
     #[serde(default)]
     pub sigma_deg: f64,
+    /// After convergence outside the tolerance: what kept the view from coming nearer.
+    #[serde(default)]
+    pub limited_by: Option<LimitedBy>,
 }

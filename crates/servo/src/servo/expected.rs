@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// angle is expected.
 const TURNED_RAD: [f64; 2] = [0.1, 0.4];
 
-/// The angle of the last frame, and how many were lost since.
+/// The angle of the last frame, or that which the move since then brings, and how many were lost since.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Expected {
     angle_rad: Option<f64>,
@@ -44,6 +44,11 @@ impl Expected {
         turned
     }
 
+    /// The view is about to be moved, and then has this angle.
+    pub(crate) fn moving(&mut self, angle_rad: Option<f64>) {
+        (self.angle_rad, self.lost_in_a_row) = (angle_rad, 0);
+    }
+
     /// Takes a lost frame; tells how many there were in a row.
     pub(crate) fn lost(&mut self) -> usize {
         self.lost_in_a_row += 1;
@@ -74,5 +79,8 @@ mod tests {
         assert_eq!(tolerance(&expected), Some(0.1));
         expected.lost();
         assert!(expected.found(Some(-2.8)));
+        // After a move it is where the move brings it, however far that is.
+        expected.moving(Some(0.1));
+        assert_eq!(expected.rotation().map(|r| r.angle_rad), Some(0.1));
     }
 }

@@ -1,13 +1,32 @@
 //! What the loop's state takes from a frame: found and moved away from, lost, or to be looked at again.
 
+use super::convergence::Criteria;
 use super::sight::{Located, Sight};
 use super::state::Servo;
+use super::watch::{Kept, Promise, Watch};
 use crate::event::tell;
-use crate::{Event, Progress, ServoEnd, ServoTask, Sink, Velocity};
+use crate::one_side::move_from_one_side;
+use crate::pose::image_angle;
+use crate::{
+    Event, PlanarPose, PoseEstimate, Progress, ServoEnd, ServoError, ServoTask, Sink, Velocity,
+};
 use scopeservo_registration::NotFound;
-use scopeservo_scope::Instrument;
+use scopeservo_scope::{Instrument, StagePose};
 
 impl Servo {
+    /// A loop whose first frame is to show what a move before it was to do.
+    pub(crate) fn after(promise: Option<Promise>) -> Self {
+        Self {
+            watch: Watch::of(promise),
+            ..Self::default()
+        }
+    }
+
+    /// What a move was to do after which no frame was understood.
+    pub(crate) fn promised(&self) -> Option<Promise> {
+        self.watch.promise
+    }
+
     /// Whether the target was seen at all.
     pub fn seen(&self) -> bool {
         self.convergence.seen()
@@ -23,10 +42,60 @@ impl Servo {
     }
 
     /// The stage is about to move.
-    pub(crate) fn moving(&mut self, located: &Located, velocity: &Velocity) {
-        let error_um = located.pose.error.t_um();
+    pub(crate) fn moving(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        test: &Criteria<'_>,
+        (sight, located): (&Sight<'_>, &Located),
+        (velocity, goal): (&Velocity, &StagePose),
+    ) {
+        self.promise(task, scope, (sight, &located.pose), goal, 0.0);
+        let error = &located.pose.error;
+        let left_rad = error.theta_rad + velocity.theta_rad;
+        let (view, target) = (task.view_calibration, task.target_calibration);
+        self.expected.moving(image_angle(left_rad, view, target));
+        let error_um = error.t_um();
         self.proof.moving(error_um, velocity.distance_um());
+        let only_nearly = test.only_nearly(error, &located.estimate);
+        self.convergence.nearly += usize::from(only_nearly);
         self.convergence.moving();
+    }
+
+    /// What the move that is about to begin is to do; `change_m`: how far the next view lies from this one besides.
+    pub(crate) fn promise(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        (sight, seen): (&Sight<'_>, &PoseEstimate),
+        goal: &StagePose,
+        change_m: f64,
+    ) {
+        let way = (sight.station.pose, PlanarPose::from(goal));
+        let promise = Promise::of(seen, way, &task.mover(scope), change_m);
+        self.watch.promise = Some(promise);
+    }
+
+    /// Whether too much of what was seen contradicts what the stage was told.
+    pub(crate) fn contradicted(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        sight: &Sight<'_>,
+    ) -> Option<ServoEnd> {
+        let view_m = 1e-6 * task.view_calibration.um_per_px();
+        let kept = self
+            .watch
+            .see(&sight.located.pose, &task.mover(scope), view_m)?;
+        if kept != Kept::Yes {
+            // Divergence counts from what the next move finds.
+            self.convergence.begin_anew();
+        }
+        let why = self.watch.stops()?;
+        let last = self
+            .convergence
+            .result(sight.measured(&sight.located, task));
+        Some(ServoEnd::Contradicted { why, last })
     }
 
     pub(crate) fn lost(
@@ -36,7 +105,7 @@ impl Servo {
         sink: &mut dyn Sink,
         sequence: u64,
         reason: &NotFound,
-    ) -> Progress<ServoEnd> {
+    ) -> Result<Progress<ServoEnd>, ServoError> {
         let event = Event::Lost {
             objective: task.objective().clone(),
             iteration: self.convergence.iteration,
@@ -45,9 +114,27 @@ impl Servo {
         };
         tell(scope, sink, event);
         let lost = self.expected.lost();
-        self.convergence
-            .lose(task.options, lost, reason)
-            .map_or(Progress::Continue, Progress::Done)
+        let Some(end) = self.convergence.lose(task.options, lost, reason) else {
+            return Ok(Progress::Continue);
+        };
+        // What a move has lost is looked for where it began.
+        let may = self.convergence.iteration < task.options.max_iterations;
+        let Some((before, error)) = self.watch.turns_back().filter(|_| may) else {
+            return Ok(Progress::Done(end));
+        };
+        let present = scope.gate().position()?;
+        move_from_one_side(
+            scope,
+            &present,
+            &before.request(&present),
+            task.view_calibration,
+        )?;
+        let (view, target) = (task.view_calibration, task.target_calibration);
+        self.expected
+            .moving(image_angle(error.theta_rad, view, target));
+        self.convergence.begin_anew();
+        self.proof.begin_anew();
+        Ok(Progress::Continue)
     }
 
     /// Some inliers are fixed to the camera: the next frame is seen without them.

@@ -4,21 +4,25 @@
 //! claimed by the image, on places that were seen to move with the specimen (`belief.rs`), and by frames far enough apart to see it drift.
 
 mod belief;
+pub(crate) mod contradiction;
 mod convergence;
 pub(crate) mod end;
 mod expected;
 mod frames;
+pub(crate) mod hand_over;
 pub(crate) mod options;
 pub(crate) mod run;
 mod sight;
 mod state;
+mod take_over;
 pub(crate) mod task;
+pub(crate) mod watch;
 
 use crate::one_side::move_from_one_side;
 use crate::vision::grab;
 use crate::{FrameRole, Progress, ServoEnd, ServoError, ServoTask, Sink, event::tell};
 use belief::Belief;
-use convergence::Standing;
+use convergence::{Criteria, Standing};
 use scopeservo_scope::Instrument;
 use sight::{Sight, View};
 
@@ -35,7 +39,10 @@ impl Servo {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<ServoEnd>, ServoError> {
-        let test = task.criteria(scope);
+        let test = Criteria {
+            nearly: self.convergence.nearly,
+            ..task.criteria(scope)
+        };
         self.convergence.rest(&test, scope)?;
         let present = scope.gate().position()?;
         // Camera.
@@ -45,13 +52,17 @@ impl Servo {
         let prior = self.expected.prior(task);
         let sight = match Sight::of(&view, task, scope, prior, present, &self.proof.fixed)? {
             Ok(sight) => self.found(sight),
-            Err(reason) => return Ok(self.lost(task, scope, sink, view.sequence, &reason)),
+            Err(reason) => return self.lost(task, scope, sink, view.sequence, &reason),
         };
         // Control: Eq. (22).
         let passes = test.passes(&sight.located.pose.error, &sight.located.estimate);
         let velocity = task.velocity(&sight.located.pose, test.turns);
         let event = sight.event(task, self.convergence.iteration, velocity, passes);
         tell(scope, sink, event);
+        // Did the last move do what it was to do?
+        if let Some(end) = self.contradicted(task, scope, &sight) {
+            return Ok(Progress::Done(end));
+        }
         // Is it the specimen, and the only place that looks like this?
         let (located, passes) = match self.believe(task, &test, &sight, passes) {
             Belief::Of(located, passes) => (located, passes),
@@ -59,6 +70,10 @@ impl Servo {
             Belief::LookAgain => return Ok(self.look_again(task, &sight)),
             Belief::Unknown => return self.step_aside(task, scope, sink, &sight),
         };
+        // Below the target's magnification one measurement is enough, where it surely leads into a higher objective's view.
+        if let Some(end) = self.hand_over(task, scope, &sight, &located)? {
+            return Ok(Progress::Done(end));
+        }
         // Stage: Eq. (5). A frame that passes is confirmed by the next one from the same place.
         let measured = sight.measured(&located, task);
         match self.convergence.take(&test, measured, passes) {
@@ -66,8 +81,9 @@ impl Servo {
             Standing::Inside => {}
             Standing::Outside => {
                 let velocity = task.velocity(&located.pose, test.turns);
-                self.moving(&located, &velocity);
+                let velocity = self.watch.limited(velocity, task.view_calibration);
                 let goal = sight.goal(&velocity);
+                self.moving(task, scope, &test, (&sight, &located), (&velocity, &goal));
                 move_from_one_side(scope, &present, &goal, task.view_calibration)?;
             }
         }

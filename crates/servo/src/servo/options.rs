@@ -1,14 +1,16 @@
 //! Settings of the loop.
 
-use crate::{ControlLaw, Proportional};
+use crate::{Calibration, ControlLaw, Direct, PoseEstimate, Proportional, Velocity};
 use serde::{Deserialize, Serialize};
 
 /// The control laws that options can name.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Law {
-    /// [`Proportional`], with the gain `lambda`.
+    /// [`Direct`]: the whole way, one measurement at each magnification on the way.
     #[default]
+    Direct,
+    /// [`Proportional`], the paper's, with the gain `lambda`, at every magnification until it converges.
     Proportional,
 }
 
@@ -16,10 +18,10 @@ pub enum Law {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ServoOptions {
-    /// The control law.
-    #[serde(skip_serializing_if = "is_default")]
+    /// The control law. Settings that were stored when there was one only have that.
+    #[serde(default = "the_papers")]
     pub law: Law,
-    /// Gain: the share of the error that one iteration takes away. The paper's is 0.2.
+    /// Gain of the paper's law: the share of the error that one iteration takes away. The paper's is 0.2.
     pub lambda: f64,
     /// Iterations at one magnification, at most.
     pub max_iterations: usize,
@@ -41,8 +43,8 @@ pub struct ServoOptions {
     pub divergence_factor: f64,
 }
 
-fn is_default(law: &Law) -> bool {
-    *law == Law::default()
+fn the_papers() -> Law {
+    Law::Proportional
 }
 
 impl Default for ServoOptions {
@@ -62,13 +64,14 @@ impl Default for ServoOptions {
     }
 }
 
-impl ServoOptions {
-    /// The control law that is named.
-    pub fn control_law(&self) -> impl ControlLaw + use<> {
+impl ControlLaw for ServoOptions {
+    fn velocity(&self, error: &PoseEstimate, view: &Calibration) -> Velocity {
         match self.law {
-            Law::Proportional => Proportional {
-                lambda: self.lambda,
-            },
+            Law::Direct => Direct.velocity(error, view),
+            Law::Proportional => {
+                let lambda = self.lambda;
+                Proportional { lambda }.velocity(error, view)
+            }
         }
     }
 }

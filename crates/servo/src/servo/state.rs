@@ -2,6 +2,7 @@
 
 use super::convergence::Convergence;
 use super::expected::Expected;
+use super::watch::Watch;
 use crate::proof::Proof;
 use serde::{Deserialize, Serialize};
 
@@ -11,4 +12,6 @@ pub struct Servo {
     pub(super) convergence: Convergence,
     pub(super) expected: Expected,
     pub(super) proof: Proof,
+    #[serde(default)]
+    pub(super) watch: Watch,
 }

@@ -1,8 +1,11 @@
 //! What a servo loop needs to know.
 
 use super::convergence::Criteria;
+use super::hand_over::HandOver;
+use super::watch::Mover;
+use crate::hand_eye::pose_sigma;
 use crate::{
-    Calibration, ControlLaw, Expected, FeatureLocalizer, Localizer, Measurement, PoseEstimate,
+    Calibration, ControlLaw, Expected, FeatureLocalizer, Law, Localizer, Measurement, PoseEstimate,
     ServoError, ServoOptions, Target, Velocity, VisionOptions,
 };
 use scopeservo_features::GrayImage;
@@ -24,11 +27,13 @@ pub struct ServoTask<'a> {
     pub options: &'a ServoOptions,
     /// The control law; `None` for the one that the options name.
     pub law: Option<&'a dyn ControlLaw>,
+    /// Objectives that may take over below the target's own magnification, the highest first; none to converge here.
+    pub hand_overs: &'a [HandOver],
     /// What finds the target in frames; `None` for features, as the vision options say.
     pub localizer: Option<&'a dyn Localizer>,
 }
 
-impl ServoTask<'_> {
+impl<'a> ServoTask<'a> {
     /// Whether this is the target's own objective, where passing the test means arrival.
     pub(crate) fn is_arrival(&self) -> bool {
         self.view_calibration.objective == self.target_calibration.objective
@@ -64,21 +69,48 @@ impl ServoTask<'_> {
     }
 
     /// The convergence test on this instrument.
-    pub(crate) fn criteria(&self, scope: &Instrument) -> Criteria<'_> {
+    pub(crate) fn criteria(&self, scope: &Instrument) -> Criteria<'a> {
         Criteria {
             options: self.options,
             is_arrival: self.is_arrival(),
             turns: scope.gate().info().axis(Axis::Rz).is_some(),
             view_um_per_px: self.view_calibration.um_per_px(),
             target_um_per_px: self.target_calibration.um_per_px(),
+            scatter: self.scatter(scope),
+            nearly: 0,
         }
+    }
+
+    /// What is known of the moves.
+    pub(crate) fn mover(&self, scope: &Instrument) -> Mover<'_> {
+        let info = scope.gate().info();
+        Mover {
+            kinematics: info.kinematics,
+            view: self.view_calibration,
+            scatter: self.view_calibration.pose_sigma(pose_sigma(info)),
+        }
+    }
+
+    /// How arrivals scatter under direct control, which is told what the stage can: the view's distance from its goal, um, and its angle, deg.
+    fn scatter(&self, scope: &Instrument) -> Option<[f64; 2]> {
+        if self.options.law != Law::Direct {
+            return None;
+        }
+        let (stated, view) = (pose_sigma(scope.gate().info()), self.view_calibration);
+        let seen = view.scatter.unwrap_or_default();
+        let [x, y, turn] = [0, 1, 2].map(|k| stated[k].max(seen[k]));
+        let lever_m = view
+            .rotation_centre_m
+            .map_or(0.0, |[a, b]| f64::hypot(a, b));
+        let distance_m = (x * x + y * y + (lever_m * turn).powi(2)).sqrt();
+        Some([distance_m * 1e6, turn.to_degrees()])
     }
 
     /// The velocity for an error; without a rotation where the stage cannot turn.
     pub(crate) fn velocity(&self, error: &PoseEstimate, turns: bool) -> Velocity {
         let velocity = match self.law {
-            Some(law) => law.velocity(error),
-            None => self.options.control_law().velocity(error),
+            Some(law) => law.velocity(error, self.view_calibration),
+            None => self.options.velocity(error, self.view_calibration),
         };
         Velocity {
             theta_rad: if turns { velocity.theta_rad } else { 0.0 },

@@ -1,9 +1,10 @@
-//! Objectives calibrated one after the other, from the lowest magnification up.
+//! Objectives calibrated one after the other, from the lowest magnification up, those that work in one medium together.
 
-use crate::{JobError, MadeCalibration, UseCase, Work};
-use scopeservo_scope::{Objective, ObjectiveId};
+use crate::{JobError, Kept, MadeCalibration, UseCase, Work};
+use scopeservo_scope::{Immersion, Objective, ObjectiveId, by_immersion};
 use scopeservo_servo::{
-    Bring, Calibrate, CalibrateOptions, Calibration, FocusOptions, Progress, VisionOptions, agree,
+    Bring, Calibrate, CalibrateOptions, Calibration, Event, FocusOptions, Phase, Progress, Stamped,
+    Switching, SwitchingOptions, SwitchingReport, VisionOptions, agree,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -18,6 +19,8 @@ pub struct CalibrateInput {
     pub focus: Option<FocusOptions>,
     /// How to calibrate.
     pub calibrate: CalibrateOptions,
+    /// How often each objective then comes in turn with the one of the lowest magnification that works in the same medium; never with 0.
+    pub switching: usize,
     /// How to look.
     pub vision: VisionOptions,
 }
@@ -28,6 +31,7 @@ impl Default for CalibrateInput {
             objectives: Vec::new(),
             focus: Some(FocusOptions::default()),
             calibrate: CalibrateOptions::default(),
+            switching: 0,
             vision: VisionOptions::default(),
         }
     }
@@ -38,6 +42,9 @@ impl Default for CalibrateInput {
 pub struct CalibrateOutput {
     /// The calibrations, to be kept.
     pub made: Vec<MadeCalibration>,
+    /// What switching between objectives has shown, to be kept.
+    #[serde(default)]
+    pub switching: Vec<SwitchingReport>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -47,6 +54,7 @@ enum State {
     Next,
     Bring(Box<Bring>),
     Calibrate(Box<Calibrate>),
+    Switch(Box<Switching>),
 }
 
 /// The job.
@@ -57,6 +65,9 @@ pub struct CalibrateJob {
     /// Those to come; the first is under way.
     left: VecDeque<Objective>,
     made: Vec<MadeCalibration>,
+    /// What switching has shown so far.
+    #[serde(default)]
+    switched: Vec<SwitchingReport>,
 }
 
 impl CalibrateJob {
@@ -67,7 +78,44 @@ impl CalibrateJob {
             state: State::Begin,
             left: VecDeque::new(),
             made: Vec::new(),
+            switched: Vec::new(),
         }
+    }
+
+    /// The switching that comes next, before the medium changes: each calibration of a medium with the first one of it.
+    fn next_switching(&self, work: &Work<'_>) -> Result<Option<Switching>, JobError> {
+        let Some(last) = self.made.last().filter(|_| self.input.switching > 0) else {
+            return Ok(None);
+        };
+        let immersion = |made: &MadeCalibration| -> Result<Immersion, JobError> {
+            Ok(work
+                .scope()
+                .objective(&made.calibration.objective)?
+                .immersion)
+        };
+        let now = immersion(last)?;
+        if self.left.front().is_some_and(|next| next.immersion == now) {
+            return Ok(None);
+        }
+        let mut pairs = Vec::new();
+        for (k, made) in self.made.iter().enumerate() {
+            let own = immersion(made)?;
+            let mut first = None;
+            for before in &self.made[..k] {
+                if first.is_none() && immersion(before)? == own {
+                    first = Some(before.calibration.clone());
+                }
+            }
+            pairs.extend(first.map(|first| [first, made.calibration.clone()]));
+        }
+        let options = SwitchingOptions {
+            times: self.input.switching,
+            focus: self.input.focus.clone(),
+            vision: self.input.vision.clone(),
+        };
+        // Media come one after the other, and so do their pairs.
+        let next = pairs.into_iter().nth(self.switched.len());
+        Ok(next.map(|pair| Switching::new(pair, options)))
     }
 
     fn plan(&mut self, work: &Work<'_>) -> Result<(), JobError> {
@@ -79,7 +127,7 @@ impl CalibrateJob {
                 .map(|id| scope.objective(id).cloned())
                 .collect::<Result<_, _>>()?,
         };
-        wanted.sort_by(|a, b| a.magnification.total_cmp(&b.magnification));
+        by_immersion(&mut wanted, work.immersion()?, |objective| objective);
         self.left = wanted.into();
         Ok(())
     }
@@ -100,12 +148,18 @@ impl UseCase for CalibrateJob {
                 self.state = State::Next;
             }
             State::Next => {
-                let Some(objective) = self.left.front() else {
-                    let made = std::mem::take(&mut self.made);
-                    return Ok(Progress::Done(CalibrateOutput { made }));
-                };
                 // What fails from now on goes back to where this one began.
                 work.scope().command_begins();
+                if let Some(switching) = self.next_switching(work)? {
+                    self.state = State::Switch(Box::new(switching));
+                    return Ok(Progress::Continue);
+                }
+                let Some(objective) = self.left.front() else {
+                    return Ok(Progress::Done(CalibrateOutput {
+                        made: std::mem::take(&mut self.made),
+                        switching: std::mem::take(&mut self.switched),
+                    }));
+                };
                 let (focus, vision) = (input.focus.clone(), input.vision.clone());
                 let bring = Bring::new(objective.id.clone(), focus, vision);
                 self.state = State::Bring(Box::new(bring));
@@ -116,6 +170,12 @@ impl UseCase for CalibrateJob {
                 {
                     let (options, vision) = (input.calibrate.clone(), input.vision.clone());
                     let calibrate = Calibrate::new(objective.clone(), options, vision);
+                    let event = Event::PhaseStarted {
+                        phase: Phase::Calibrate,
+                        objective: objective.id.clone(),
+                    };
+                    let time_s = work.scope().clock().now().seconds();
+                    work.sink().event(Stamped { time_s, event });
                     self.state = State::Calibrate(Box::new(calibrate));
                 }
             }
@@ -127,6 +187,13 @@ impl UseCase for CalibrateJob {
                     agree(work.scope().gate().objectives(), &before, &calibration)?;
                     self.made.push(work.keep_calibration(calibration));
                     self.left.pop_front();
+                    self.state = State::Next;
+                }
+            }
+            State::Switch(switching) => {
+                if let Progress::Done(report) = work.step(&mut **switching)? {
+                    work.keep(Kept::Switching(Box::new(report.clone())));
+                    self.switched.push(report);
                     self.state = State::Next;
                 }
             }

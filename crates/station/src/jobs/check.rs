@@ -1,7 +1,7 @@
 //! Kept calibrations tested by two moves, one objective after the other, from the lowest magnification up.
 
 use crate::{JobError, UseCase, Work};
-use scopeservo_scope::{Objective, ObjectiveId};
+use scopeservo_scope::{Objective, ObjectiveId, by_immersion};
 use scopeservo_servo::{
     Bring, Calibration, ErrorCode, ErrorKind, FocusOptions, Progress, SelfTest, SelfTestReport,
     Together, VisionOptions, together,
@@ -100,7 +100,7 @@ impl CheckJob {
         let mut wanted = kept
             .map(|c| Ok((work.scope().objective(&c.objective)?.clone(), c.clone())))
             .collect::<Result<Vec<_>, JobError>>()?;
-        wanted.sort_by(|(a, _), (b, _)| a.magnification.total_cmp(&b.magnification));
+        by_immersion(&mut wanted, work.immersion()?, |(objective, _)| objective);
         self.left = wanted.into();
         Ok(())
     }

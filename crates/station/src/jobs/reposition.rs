@@ -2,7 +2,9 @@
 
 use crate::{JobError, MadeCalibration, UseCase, Work};
 use scopeservo_scope::{Counters, ObjectiveId};
-use scopeservo_servo::{Calibration, Outcome, Progress, Reposition, RepositionOptions, Target};
+use scopeservo_servo::{
+    Calibration, Outcome, Progress, Reposition, RepositionOptions, SwitchingReport, Target,
+};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -18,6 +20,8 @@ pub struct RepositionInput {
     pub foreign_um_per_px: Option<f64>,
     /// Calibrations of this instrument and camera that are known: those objectives are not calibrated on the way.
     pub known: Vec<Calibration>,
+    /// What is known of where its objectives look beside each other.
+    pub switchings: Vec<SwitchingReport>,
 }
 
 /// The answer.
@@ -45,7 +49,9 @@ impl RepositionJob {
     pub fn new(target: impl Into<Arc<Target>>, input: RepositionInput) -> Self {
         let known = input.known.into_iter();
         let known = known.map(|c| (c.objective.clone(), c));
-        let mut run = Reposition::new(target, input.options).with_calibrations(known);
+        let mut run = Reposition::new(target, input.options)
+            .with_calibrations(known)
+            .with_switchings(input.switchings);
         if let Some(um_per_px) = input.foreign_um_per_px {
             run = run.with_foreign_scale(um_per_px);
         }

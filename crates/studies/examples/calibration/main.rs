@@ -3,6 +3,7 @@
 //! `cargo run --release -p scopeservo-studies --example calibration -- table2 --rounds 50`
 //! `cargo run --release -p scopeservo-studies --example calibration -- instruments --count 400`
 //! `cargo run --release -p scopeservo-studies --example calibration -- pairwise --times 4`
+//! `cargo run --release -p scopeservo-studies --example calibration -- convergence`
 //!
 //! `--method grid` does the same by a grid of dots, of 100, 50 and 20 um at 10x, 20x and 40x.
 //!
@@ -13,6 +14,7 @@
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
 mod arrival;
+mod convergence;
 mod instrument;
 mod page;
 mod record;
@@ -66,6 +68,12 @@ enum Study {
         #[arg(long, default_value_t = 400)]
         count: u64,
     },
+    /// How wrong a calibration may be so that the servo still comes back.
+    Convergence {
+        /// Only this objective: 10x, 20x or 40x.
+        #[arg(long, value_parser = OBJECTIVES)]
+        objective: Option<String>,
+    },
     /// Instruments of which any two properties come together in one at least; each must be calibrated, and be right.
     Pairwise {
         /// How often, each time with other angles.
@@ -110,6 +118,9 @@ fn main() -> Outcome<()> {
             let count = times * pairwise().len() as u64;
             ("pairwise", (0..count).collect(), Design::of_pairs)
         }
+        Study::Convergence { objective } => {
+            return converges(&args, objective.as_deref(), threads);
+        }
     };
     let specimens = match (&args.method, &args.study) {
         (Method::Grid, _) => Specimens::grid()?,
@@ -133,17 +144,46 @@ fn main() -> Outcome<()> {
     )?;
     let failed = match args.study {
         Study::Table2 { .. } => table::of_paper(&records),
-        Study::Instruments { .. } => table::of_any(&records),
+        Study::Instruments { .. } | Study::Convergence { .. } => table::of_any(&records),
         Study::Pairwise { .. } => table::of_any(&records) | table::any_wrong(&records),
     };
+    let title = format!("{name}, {method_name}");
+    let page = match args.study {
+        Study::Table2 { .. } => {
+            let all = page::methods_at_hand(&args.out, name, (method_name, &records));
+            page::of_paper(&title, method_name, &all)
+        }
+        _ => page::of_any(&title, &records),
+    };
     let page_path = path.with_extension("html");
-    std::fs::write(
-        &page_path,
-        page::page(&format!("{name}, {method_name}"), &records),
-    )?;
+    std::fs::write(&page_path, page)?;
     std::fs::write(path.with_extension("csv"), table::csv(&records))?;
     println!("\nplots: {}", page_path.display());
     if failed {
+        std::process::exit(1);
+    }
+    Ok(())
+}
+
+/// The study of the convergence range.
+fn converges(args: &Args, objective: Option<&str>, threads: usize) -> Outcome<()> {
+    let path = args.out.join("convergence.jsonl");
+    let only = objective.and_then(|o| OBJECTIVES.iter().position(|name| *name == o));
+    let numbers = convergence::numbers(only);
+    let specimens = Specimens::tissue();
+    let cells = rounds(
+        &path,
+        &numbers,
+        threads,
+        |c: &convergence::Cell| c.index,
+        |k| convergence::tried(k, &specimens),
+    )?;
+    let summary = convergence::summary(&cells);
+    println!("{}", summary.words());
+    std::fs::write(path.with_extension("html"), convergence::page(&cells))?;
+    std::fs::write(path.with_extension("csv"), convergence::csv(&cells))?;
+    println!("\nplots: {}", path.with_extension("html").display());
+    if summary.is_wrong() {
         std::process::exit(1);
     }
     Ok(())

@@ -6,12 +6,12 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 /// Table II: standard deviations of kx, ky (px/m), phi (deg), eta (mm) at 100x, 200x, 400x.
-const PAPER_SD: [(&str, [f64; 5]); 3] = [
+pub(crate) const PAPER_SD: [(&str, [f64; 5]); 3] = [
     ("10x", [367.0, 414.0, 0.0198, 0.1072, 0.0511]),
     ("20x", [1351.0, 822.0, 0.0401, 0.1570, 0.1355]),
     ("40x", [3047.0, 2908.0, 0.0597, 0.2071, 0.1683]),
 ];
-const NAMES: [&str; 5] = [
+pub(crate) const NAMES: [&str; 5] = [
     "kx px/m",
     "ky px/m",
     "phi deg",
@@ -24,7 +24,7 @@ fn readings(records: &[&Record]) -> Vec<[f64; 5]> {
     records.iter().filter_map(|r| r.reading).collect()
 }
 
-fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
+pub(crate) fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
     values.clone().sum::<f64>() / values.count().max(1) as f64
 }
 

@@ -1,6 +1,7 @@
 //! What lies in the way of the light and moves with the camera: dust, a reticle.
 
 use crate::camera_config::{CameraConfig, DustConfig, Mark};
+use crate::faults::DriftingHair;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
@@ -35,6 +36,22 @@ pub(super) fn settle(window: &mut [f32], width: usize, kinds: &[DustConfig], rng
             Speck::draw(kind, size, rng).shade(window, width);
         }
     }
+}
+
+/// The shadow of a hair that has drifted for some seconds.
+pub(super) fn hair(window: &mut [f32], width: usize, hair: &DriftingHair, seconds: f64) {
+    let (s, c) = hair.angle_deg.to_radians().sin_cos();
+    let speck = Speck {
+        at: std::array::from_fn(|i| hair.at_px[i] + seconds * hair.px_per_s[i]),
+        radius: hair.radius_px,
+        depth: hair.attenuation,
+        // As sharp as what lies near the field stop.
+        steepness: 4,
+        stretch: hair.stretch,
+        direction: [c, s],
+        rings: 0.0,
+    };
+    speck.shade(window, width);
 }
 
 fn between(rng: &mut Pcg64Mcg, [least, most]: [f64; 2]) -> f64 {

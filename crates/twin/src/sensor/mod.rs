@@ -7,6 +7,7 @@ mod pattern;
 
 use crate::camera_config::{CameraConfig, DustConfig};
 use crate::config::ObjectiveConfig;
+use crate::faults::DriftingHair;
 use crate::scene::Planes;
 use crate::seeds;
 use normal::normal_table;
@@ -82,6 +83,18 @@ impl Sensor {
         let mut window = window.to_vec();
         let mut rng = seeds::rng(seed, seeds::SENSOR, 2);
         dust::settle(&mut window, self.config.width, kinds, &mut rng);
+        Arc::new(window)
+    }
+
+    /// A window with a hair before it that has drifted for some seconds.
+    pub(crate) fn behind(
+        &self,
+        window: &[f32],
+        hair: &DriftingHair,
+        seconds: f64,
+    ) -> Arc<Vec<f32>> {
+        let mut window = window.to_vec();
+        dust::hair(&mut window, self.config.width, hair, seconds);
         Arc::new(window)
     }
 

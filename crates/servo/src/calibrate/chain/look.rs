@@ -3,6 +3,7 @@
 use super::super::joint::{Next, Pair, Role, Taken, View, partners};
 use super::Chain;
 use super::pair::{Place, pair_of};
+use crate::calibrate::told::{ChainPair, ChainView};
 use crate::event::tell;
 use crate::kinematics::PlanarPose;
 use crate::proof::{SEEN_PX, stays};
@@ -39,7 +40,9 @@ impl Chain {
         let features = self.vision.of_view(&image)?;
         self.most_features = self.most_features.max(features.len());
         let index = self.taken.len();
-        let (pairs, inliers) = self.register(scope, next, &features);
+        let (pairs, compared) = self.register(scope, next, &features);
+        let surest = compared.first().filter(|c| c.reason.is_none());
+        let inliers = surest.map_or(0, |c| c.inliers);
         let place = match pairs.first() {
             Some(pair) => self.places[pair.fixed].map(|fixed| fixed.after(pair)),
             None => (index == 0).then_some(Place::FIRST),
@@ -73,6 +76,12 @@ impl Chain {
             stage: at,
             shift_px: place.map(|p| p.centre_px),
             inliers,
+            chain: Some(Box::new(ChainView {
+                sequence: frame.sequence,
+                role: next.role,
+                asked: next.pose,
+                compared,
+            })),
         };
         tell(scope, sink, event);
         Ok(())
@@ -94,10 +103,15 @@ impl Chain {
         }
     }
 
-    /// The pairs that a view makes with the earlier ones, the surest first, and the inliers of that one.
-    fn register(&mut self, scope: &Instrument, next: &Next, view: &Features) -> (Vec<Pair>, usize) {
+    /// The pairs that a view makes with the earlier ones, the surest first, and what is told of all that it was compared with.
+    fn register(
+        &mut self,
+        scope: &Instrument,
+        next: &Next,
+        view: &Features,
+    ) -> (Vec<Pair>, Vec<ChainPair>) {
         let Some(known) = self.known(scope) else {
-            return (Vec::new(), 0);
+            return (Vec::new(), Vec::new());
         };
         let found = self.taken.len();
         let others: Vec<(usize, bool)> = partners(&self.options.path, &known, &next.pose)
@@ -107,10 +121,11 @@ impl Chain {
                 (k, moved >= SEEN_PX)
             })
             .collect();
-        let mut pairs = Vec::new();
+        let (mut pairs, mut compared) = (Vec::new(), Vec::new());
         for (fixed, moved) in others {
             let turn_rad = next.pose.theta_rad - self.taken[fixed].asked.theta_rad;
-            let registration = self.against(fixed, view, moved, turn_rad);
+            let (registration, told) = self.against(fixed, view, moved, turn_rad);
+            compared.push(told);
             match &registration.outcome {
                 Ok(estimate) => {
                     let size_px = [view.width, view.height];
@@ -123,8 +138,13 @@ impl Chain {
             }
         }
         pairs.sort_by_key(|(inliers, pair)| (usize::MAX - inliers, pair.fixed));
-        let inliers = pairs.first().map_or(0, |(inliers, _)| *inliers);
-        (pairs.into_iter().map(|(_, pair)| pair).collect(), inliers)
+        compared.sort_by_key(|c| (c.reason.is_some(), usize::MAX - c.inliers, c.with));
+        // One drawing is enough for each view.
+        compared
+            .iter_mut()
+            .skip(1)
+            .for_each(|c| c.places = Vec::new());
+        (pairs.into_iter().map(|(_, pair)| pair).collect(), compared)
     }
 
     /// Registers a view to an earlier one, without what is fixed to the camera: what stays where it is, when the view `moved` for sure;
@@ -135,13 +155,17 @@ impl Chain {
         view: &Features,
         moved: bool,
         turn_rad: f64,
-    ) -> Registration {
+    ) -> (Registration, ChainPair) {
         let options = &self.vision.registration;
         let prior = same_objective(1.5 * turn_rad.abs() + TURN_SLACK_RAD);
         let engine = &*self.vision.engine;
         let all = match Correspondences::of(engine, view, &self.features[fixed], &prior, options) {
             Ok(all) => all,
-            Err(reason) => return Registration::not_found(reason, 0),
+            Err(reason) => {
+                let registration = Registration::not_found(reason, 0);
+                let told = ChainPair::of(fixed, &registration, &[]);
+                return (registration, told);
+            }
         };
         let free = all
             .those(|_, c| !(stays(c) && (moved || self.fixed.holds(c.p_in_b.map(|v| v as f32)))));
@@ -152,6 +176,7 @@ impl Chain {
             self.stayed |= stay >= STAYED && stay as f64 >= STAYED_SHARE * fewer as f64;
             self.fixed.stayed(all.pairs.iter().filter(|c| stays(c)));
         }
-        registration
+        let told = ChainPair::of(fixed, &registration, &all.pairs);
+        (registration, told)
     }
 }

@@ -4,6 +4,7 @@ mod fixed;
 mod look;
 mod pair;
 mod sense;
+mod told;
 mod verdict;
 
 use super::joint::{JointFit, Known, Next, Pair, Priors, Role, Taken, View, fit, next_view};
@@ -11,7 +12,7 @@ use crate::event::tell;
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Progress, home_after_an_answer};
-use crate::{CalibrateOptions, Calibration, Event, ServoError, Sink, VisionOptions};
+use crate::{CalibrateOptions, Calibration, ErrorKind, Event, ServoError, Sink, VisionOptions};
 use fixed::FixedOnSensor;
 use pair::Place;
 use scopeservo_features::Features;
@@ -84,7 +85,14 @@ impl Chain {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<Calibration>, ServoError> {
-        let ended = self.work(scope, sink);
+        let ended = self
+            .work(scope, sink)
+            .map_err(|e| self.or_it_shakes(scope, e));
+        // After a stop that somebody asked for nothing more happens.
+        let stopped = |e: &ServoError| e.kind() == ErrorKind::Interruption;
+        if ended.as_ref().is_err_and(|e| !stopped(e)) {
+            self.tell_all(scope, sink);
+        }
         home_after_an_answer(ended, || self.go_home(scope))
     }
 
@@ -105,6 +113,7 @@ impl Chain {
         if self.taken.last().is_none_or(|t| t.role != Role::Home) {
             self.go_home(scope)?;
         }
+        self.tell_all(scope, sink);
         let event = Event::Calibrated {
             calibration: Box::new(calibration.clone()),
             residual_px,

@@ -5,6 +5,7 @@ use super::Chain;
 use crate::calibrate::joint::{JointFit, Known, Role, Taken};
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
+use crate::trial::shaking_px;
 use crate::{Calibration, ServoError};
 use scopeservo_geometry::Vec2;
 use scopeservo_scope::{Axis, Instrument, Kinematics};
@@ -201,6 +202,24 @@ impl Chain {
         })
     }
 
+    /// Why views contradict each other, where it is that they shake.
+    pub(super) fn or_it_shakes(&self, scope: &Instrument, error: ServoError) -> ServoError {
+        let contradicts = matches!(
+            error,
+            ServoError::ViewAstray { .. }
+                | ServoError::CalibrationContradicted { .. }
+                | ServoError::CalibrationInconsistent { .. }
+        );
+        match contradicts.then(|| shaking_px(scope, &self.vision)) {
+            Some(Ok(Some(px))) => ServoError::ViewShakes {
+                objective: self.objective.id.clone(),
+                um: px * self.objective.nominal_um_per_px,
+            },
+            // What the instrument cannot do now is told when it is to go home.
+            _ => error,
+        }
+    }
+
     /// The views back and forth were found, the rotation centre is not beyond all instruments, and at the end the reference is where the
     /// calibration puts it.
     pub(super) fn still_obeys(
@@ -285,7 +304,7 @@ fn wrong_turn(turns: &[[f64; 3]], handed: f64) -> Option<Turn> {
 }
 
 /// Where the stage stands at a view, its play counted.
-fn standing(taken: &Taken, backlash: [f64; 3]) -> PlanarPose {
+pub(super) fn standing(taken: &Taken, backlash: [f64; 3]) -> PlanarPose {
     let behind = |k: usize| 0.5 * f64::from(taken.view.approach[k]) * backlash[k];
     let reported = taken.view.reported;
     PlanarPose {

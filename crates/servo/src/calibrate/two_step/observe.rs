@@ -76,6 +76,7 @@ impl TwoStep {
             stage: at,
             shift_px: observation.map(|o| o.b_px),
             inliers: registration.inliers,
+            chain: None,
         };
         self.views += 1;
         tell(scope, sink, event);

@@ -1,0 +1,120 @@
+//! The view's centre, kept when the objective changes: what is known of where each objective looks beside the others.
+
+use crate::kinematics::{Motion2, PlanarPose, pose_after};
+use crate::{Calibration, Known, ServoError, SwitchingReport};
+use scopeservo_scope::{ErrorKind, Instrument, ObjectiveId};
+use std::collections::BTreeMap;
+
+/// An offset that is known worse than to half of itself is none.
+const SIGMAS: f64 = 2.0;
+/// One below this share of the field's shorter side costs the servo nothing.
+const SHARE: f64 = 0.1;
+
+/// Where the centre of `to` lies beside that of `from`, um in stage axes: by switching between them or from a third one to both, else by
+/// their rotation centres.
+pub(super) fn offset_um(
+    [from, to]: [&ObjectiveId; 2],
+    switchings: &[SwitchingReport],
+    calibrations: &BTreeMap<ObjectiveId, Calibration>,
+) -> Option<[Known; 2]> {
+    let seen = |a: &ObjectiveId, b: &ObjectiveId| {
+        let of = |report: &&SwitchingReport| report.from == *a && report.to == *b;
+        Some(switchings.iter().find(of)?.expected_um())
+    };
+    let back = |known: [Known; 2]| {
+        known.map(|k| Known {
+            value: -k.value,
+            ..k
+        })
+    };
+    let by_a_third = || {
+        let mut firsts = switchings.iter().map(|report| &report.from);
+        firsts.find_map(|first| Some(between(&seen(first, from)?, &seen(first, to)?)))
+    };
+    let by_centres = || {
+        let centre = |id: &ObjectiveId| {
+            let calibration = calibrations.get(id)?;
+            let (centre, covariance) = (calibration.rotation_centre_m?, calibration.covariance?);
+            Some([0, 1].map(|k| Known {
+                value: 1e6 * centre[k],
+                sigma: 1e6 * covariance[4 + k][4 + k].sqrt(),
+            }))
+        };
+        Some(between(&centre(from)?, &centre(to)?))
+    };
+    seen(from, to)
+        .or_else(|| seen(to, from).map(back))
+        .or_else(by_a_third)
+        .or_else(by_centres)
+}
+
+fn between(from: &[Known; 2], to: &[Known; 2]) -> [Known; 2] {
+    [0, 1].map(|k| Known {
+        value: to[k].value - from[k].value,
+        sigma: to[k].sigma.hypot(from[k].sigma),
+    })
+}
+
+/// Brings what was in the middle of the view of one objective into the middle of the next one's, which is active now, where it would lie aside by
+/// a good part of the field. `um_per_px` is that of the view.
+pub(super) fn keep_centre(
+    scope: &Instrument,
+    offset_um: [Known; 2],
+    um_per_px: f64,
+) -> Result<(), ServoError> {
+    let length = |of: fn(&Known) -> f64| f64::hypot(of(&offset_um[0]), of(&offset_um[1]));
+    let (aside_um, sigma_um) = (length(|k| k.value), length(|k| k.sigma));
+    let info = scope.camera().info();
+    let field_um = info.width.min(info.height) as f64 * um_per_px;
+    if aside_um <= SIGMAS * sigma_um || aside_um <= SHARE * field_um {
+        return Ok(());
+    }
+    let here = scope.gate().position()?;
+    // What is now in the middle was there before: c0 = c1 + d for the centre of the new objective and that of the old one.
+    let motion = Motion2 {
+        alpha_rad: 0.0,
+        d_m: offset_um.map(|k| -1e-6 * k.value),
+    };
+    let kinematics = scope.gate().info().kinematics;
+    let goal = pose_after(kinematics, &PlanarPose::from(&here), &motion);
+    match scope.move_to(&goal.request(&here)) {
+        // The servo goes as far as it may.
+        Err(error) if error.kind() == ErrorKind::Refused => Ok(()),
+        ended => Ok(ended.map(drop)?),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn known(value: f64, sigma: f64) -> Known {
+        Known { value, sigma }
+    }
+
+    fn report(from: &str, to: &str, x_um: f64) -> SwitchingReport {
+        SwitchingReport {
+            from: ObjectiveId(from.into()),
+            to: ObjectiveId(to.into()),
+            arrivals: [5, 5],
+            offset_um: [known(x_um, 0.3), known(0.0, 0.3)],
+            repeatability_um: [known(0.0, 0.0); 2],
+            repeatability_deg: known(0.0, 0.0),
+            focus: None,
+        }
+    }
+
+    #[test]
+    fn an_offset_is_known_either_way_and_by_a_third_objective() {
+        let all = [report("10x", "20x", 5.0), report("10x", "40x", -8.0)];
+        let offset = |from: &str, to: &str| {
+            let [from, to] = [from, to].map(|id| ObjectiveId(id.into()));
+            offset_um([&from, &to], &all, &BTreeMap::new()).map(|[x, _]| x)
+        };
+        assert_eq!(offset("10x", "40x"), Some(known(-8.0, 0.3)));
+        assert_eq!(offset("40x", "10x"), Some(known(8.0, 0.3)));
+        let third = offset("20x", "40x").unwrap();
+        assert!((third.value + 13.0).abs() < 1e-12 && (third.sigma - 0.18f64.sqrt()).abs() < 1e-12);
+        assert_eq!(offset("20x", "100x"), None);
+    }
+}

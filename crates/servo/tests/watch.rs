@@ -1,0 +1,212 @@
+//! The camera sees what moves do: what contradicts them stops a run, is named, and nothing says that it arrived.
+
+mod common;
+
+use common::{Bench, PLACE_UM, bench_over, one_objective, options};
+use scopeservo_geometry::Mat2;
+use scopeservo_scope::{Axis, Frame};
+use scopeservo_servo::{
+    Calibrate, Calibration, Contradiction, Event, FrameRole, NoSink, Outcome, Reason, Reposition,
+    ServoEnd, Sink, Stamped, Verdict, VisionOptions, run,
+};
+use scopeservo_twin::specimen::Tissue;
+use scopeservo_twin::{StageConfig, StageFault, Twin};
+use std::sync::Arc;
+
+fn turntable() -> Bench {
+    let config = one_objective().with_stage(StageConfig::xyz_theta());
+    bench_over(config, Arc::new(Tissue::new(7)), Vec::new())
+}
+
+/// That of every bench here.
+fn calibration() -> Calibration {
+    let bench = turntable();
+    bench.save();
+    let objective = bench.scope.gate().objectives()[0].clone();
+    let mut calibrate = Calibrate::new(objective, options().calibrate, VisionOptions::default());
+    run(&mut calibrate, &bench.scope, &mut NoSink).unwrap()
+}
+
+/// Does something after the first frame of the servo, and counts moves since.
+struct Breaks<'a, F: Fn(&Twin)> {
+    twin: &'a Twin,
+    what: F,
+    iterations: usize,
+}
+
+impl<F: Fn(&Twin)> Sink for Breaks<'_, F> {
+    fn event(&mut self, stamped: Stamped) {
+        if matches!(stamped.event, Event::Iteration { .. }) {
+            if self.iterations == 0 {
+                (self.what)(self.twin);
+            }
+            self.iterations += 1;
+        }
+    }
+    fn frame(&mut self, _: &Frame, _: FrameRole) {}
+}
+
+/// Comes back from 60 um with a calibration, while something breaks; also how far it is off in the end, um and deg, and the iterations.
+fn come_back(calibration: &Calibration, what: impl Fn(&Twin)) -> (Outcome, (f64, f64), usize) {
+    let bench = turntable();
+    let (target, truth) = bench.save();
+    bench.twin.remount(PLACE_UM, [38.0, -45.0], 5.0, false);
+    let known = [(calibration.objective.clone(), calibration.clone())];
+    let mut reposition = Reposition::new(target, options()).with_calibrations(known);
+    let mut sink = Breaks {
+        twin: &bench.twin,
+        what,
+        iterations: 0,
+    };
+    let began = bench.scope.gate().position().unwrap();
+    let outcome = run(&mut reposition, &bench.scope, &mut sink).unwrap();
+    let ends = bench.scope.gate().position().unwrap();
+    // Home where all axes obey, else where it was when that was seen.
+    if let Some(why) = why(&outcome) {
+        let stands = matches!(
+            why,
+            Contradiction::NothingMoved | Contradiction::AxisStands(_)
+        );
+        for axis in [Axis::X, Axis::Y, Axis::Rz] {
+            let off = ends.si(axis).unwrap() - began.si(axis).unwrap();
+            assert!(stands || off.abs() < 1e-6, "{why:?}: {axis} is {off} off");
+        }
+    }
+    (outcome, bench.error_from(&truth), sink.iterations)
+}
+
+fn why(outcome: &Outcome) -> Option<Contradiction> {
+    match outcome.magnifications.last().map(|m| &m.end) {
+        Some(ServoEnd::Contradicted { why, .. }) => Some(*why),
+        _ => None,
+    }
+}
+
+fn changed(calibration: &Calibration, map: impl Fn(Mat2) -> Mat2) -> Calibration {
+    Calibration {
+        stage_from_pixel: map(calibration.stage_from_pixel),
+        ..calibration.clone()
+    }
+}
+
+#[test]
+fn moves_that_the_image_contradicts_stop_the_run_and_are_named() {
+    let good = calibration();
+    let (outcome, (um, deg), _) = come_back(&good, |_| {});
+    assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
+    assert!(um < 1.0 && deg < 0.02);
+    let swap = Mat2([[0.0, 1.0], [1.0, 0.0]]);
+    let wrong: [(&str, Calibration, Contradiction); 3] = [
+        (
+            "the camera is turned by 180 deg",
+            changed(&good, |m| m * -1.0),
+            Contradiction::Reversed,
+        ),
+        (
+            "x goes the other way",
+            changed(&good, |m| Mat2::diagonal(-1.0, 1.0) * m),
+            Contradiction::AxisReversed(Axis::X),
+        ),
+        (
+            "x and y are exchanged",
+            changed(&good, |m| swap * m),
+            Contradiction::Swapped,
+        ),
+    ];
+    for (name, calibration, expected) in wrong {
+        let (outcome, _, iterations) = come_back(&calibration, |_| {});
+        assert_ne!(outcome.verdict, Verdict::Arrived, "{name}");
+        assert_eq!(why(&outcome), Some(expected), "{name}: {}", outcome.message);
+        assert!(iterations <= 4, "{name}: {iterations}");
+    }
+    let sticks =
+        |axis: Axis| move |twin: &Twin| twin.fault(StageFault::StuckAxis { axis, stuck: true });
+    for axis in [Axis::X, Axis::Y, Axis::Rz] {
+        let (outcome, _, iterations) = come_back(&good, sticks(axis));
+        assert_eq!(
+            (outcome.verdict, outcome.reason),
+            (Verdict::Refused, Reason::Contradicted),
+            "{axis}: {}",
+            outcome.message
+        );
+        assert_eq!(
+            why(&outcome),
+            Some(Contradiction::AxisStands(axis)),
+            "{}",
+            outcome.message
+        );
+        assert!(iterations <= 4, "{axis}: {iterations}");
+    }
+    let all = |twin: &Twin| [Axis::X, Axis::Y, Axis::Rz].map(|axis| sticks(axis)(twin));
+    let (outcome, _, _) = come_back(&good, |twin| {
+        all(twin);
+    });
+    // The step aside has said so before a second move would.
+    assert_eq!(outcome.reason, Reason::NothingMoves, "{}", outcome.message);
+}
+
+/// A calibration by two steps, or of an earlier version, does not know it.
+#[test]
+fn play_that_no_calibration_knows_is_not_taken_for_an_axis_that_stands() {
+    let mut unaware = calibration();
+    unaware.backlash = None;
+    for play_um in [5.0, 20.0] {
+        let with_play = |twin: &Twin| {
+            for axis in [Axis::X, Axis::Y] {
+                let si = play_um * 1e-6;
+                twin.fault(StageFault::Backlash { axis, si });
+            }
+        };
+        let (outcome, (um, deg), _) = come_back(&unaware, with_play);
+        assert_eq!(why(&outcome), None, "{play_um}: {}", outcome.message);
+        if outcome.verdict == Verdict::Arrived {
+            assert!(um < 1.0 && deg < 0.02, "{play_um}: {um} {deg}");
+        }
+    }
+}
+
+#[test]
+fn a_push_by_hand_or_lost_steps_are_made_up_for_and_never_taken_for_arrival() {
+    let good = calibration();
+    for um in [15.0, 40.0, 70.0] {
+        let pushed = |twin: &Twin| {
+            twin.fault(StageFault::LostSteps {
+                axis: Axis::X,
+                si: um * 1e-6,
+            })
+        };
+        let (outcome, (off_um, off_deg), _) = come_back(&good, pushed);
+        if outcome.verdict == Verdict::Arrived {
+            assert!(off_um < 1.0 && off_deg < 0.02, "{um}: {off_um} {off_deg}");
+        }
+    }
+}
+
+#[test]
+fn a_calibration_within_the_papers_convergence_range_arrives() {
+    let good = calibration();
+    for (scale, turned_deg, off_mm) in [
+        (1.06, 0.0, 0.0),
+        (0.94, 0.0, 0.0),
+        (1.0, 1.9, 0.0),
+        (1.0, -1.9, 0.0),
+        (1.0, 0.0, 2.1),
+        (1.06, 1.9, -2.1),
+    ] {
+        let mut wrong = changed(&good, |m| {
+            Mat2::rotation(f64::to_radians(turned_deg)) * m * scale
+        });
+        let eta = wrong.rotation_centre_m.unwrap();
+        wrong.rotation_centre_m = Some([eta[0] + off_mm * 1e-3, eta[1] - off_mm * 1e-3]);
+        let (outcome, (um, deg), iterations) = come_back(&wrong, |_| {});
+        let name = format!("{scale} {turned_deg} {off_mm}");
+        assert_eq!(
+            outcome.verdict,
+            Verdict::Arrived,
+            "{name}: {}",
+            outcome.message
+        );
+        assert!(um < 1.0 && deg < 0.02, "{name}: {um} {deg}");
+        assert!(iterations <= 9, "{name}: {iterations}");
+    }
+}

@@ -1,0 +1,73 @@
+//! Whole runs from random starts: the slide is put back anywhere within the lowest view, turned by what the stage can turn it back.
+//!
+//! `cargo run --release -p scopeservo-studies --example reposition -- --count 200`
+//!
+//! Instruments are calibrated once, focus is found anew, and every run is kept as a line of its own: a study that was broken off goes on.
+//! `SCOPESERVO_SPECIMENS` gives real slides; without it the tissue is procedural. Exit code 1 when an answer was wrong.
+
+#![expect(clippy::print_stdout, reason = "a study prints its table")]
+
+mod scene;
+mod table;
+mod whole;
+
+use clap::Parser;
+use scopeservo_servo::Law;
+use scopeservo_studies::rounds::{Outcome, rounds, threads};
+use std::fs;
+use std::path::PathBuf;
+
+/// Whole runs from random starts.
+#[derive(Parser)]
+struct Args {
+    /// Runs.
+    #[arg(long, default_value_t = 200)]
+    count: u64,
+    /// Only this one, with what happens.
+    #[arg(long)]
+    only: Option<u64>,
+    /// direct, or proportional: a fifth of the error at a time, at every magnification.
+    #[arg(long, default_value = "direct", value_parser = law)]
+    law: Law,
+    /// Threads; all processors unless told.
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+    /// Where calibrations and runs are kept; what lies there is not made again. A new folder for a new build.
+    #[arg(long, default_value = "target/reposition")]
+    out: PathBuf,
+}
+
+fn law(text: &str) -> Result<Law, String> {
+    serde_json::from_value(text.into()).map_err(|_| "direct or proportional".into())
+}
+
+fn main() -> Outcome<()> {
+    let args = Args::parse();
+    fs::create_dir_all(&args.out)?;
+    let known = scene::calibrations(&args.out)?;
+    let run =
+        |index: u64, trace: bool| whole::run(&scene::draw(index), index, &known, args.law, trace);
+    let records = match args.only {
+        Some(index) => {
+            let record = run(index, true)?;
+            println!("{}", serde_json::to_string_pretty(&record)?);
+            vec![record]
+        }
+        None => {
+            let law = serde_json::to_value(args.law)?;
+            let name = format!("{}.jsonl", law.as_str().unwrap_or_default());
+            let numbers: Vec<u64> = (0..args.count).collect();
+            rounds(
+                &args.out.join(name),
+                &numbers,
+                threads(args.threads)?,
+                |r: &whole::Record| r.index,
+                |k| run(k, false),
+            )?
+        }
+    };
+    if table::print(&records) > 0 {
+        std::process::exit(1);
+    }
+    Ok(())
+}

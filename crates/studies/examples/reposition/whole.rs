@@ -1,0 +1,192 @@
+//! One run, and what it came to. The truth only judges.
+
+use crate::scene::{Bench, Known, Scene, of};
+use scopeservo_scope::{Frame, ObjectiveId};
+use scopeservo_servo::{
+    Bring, Event, FocusOptions, FrameRole, Law, Phase, Reposition, RepositionOptions, SaveOptions,
+    SaveTarget, Sink, Stamped, Verdict, VisionOptions, run as steps,
+};
+use scopeservo_studies::rounds::Outcome;
+use scopeservo_twin::Truth;
+use serde::{Deserialize, Serialize};
+
+/// What one run came to.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub(crate) struct Record {
+    pub(crate) index: u64,
+    pub(crate) stage: String,
+    pub(crate) specimen: String,
+    pub(crate) begins_with: String,
+    pub(crate) start_um: f64,
+    pub(crate) turn_deg: f64,
+    pub(crate) noise: f64,
+    pub(crate) features: usize,
+    /// The program's verdict, `refused_at_saving`, or `fault`.
+    pub(crate) verdict: String,
+    pub(crate) reason: String,
+    pub(crate) message: String,
+    /// Where the view really is from the target.
+    pub(crate) true_um: f64,
+    pub(crate) true_deg: f64,
+    pub(crate) defocus_um: f64,
+    pub(crate) claimed_um: Option<f64>,
+    /// Goals that the law set: frames of the loop after which it moved.
+    pub(crate) goals: usize,
+    pub(crate) moves: u64,
+    pub(crate) frames: u64,
+    /// On the instrument's clock: all of it, and without the changes of objective.
+    pub(crate) seconds: f64,
+    pub(crate) seconds_unchanged: f64,
+}
+
+impl Record {
+    /// A sure answer that is wrong.
+    pub(crate) fn is_false(&self) -> bool {
+        let claimed = self.claimed_um.unwrap_or(0.0);
+        self.verdict == "arrived" && (self.true_um > 1.0 + claimed || self.true_deg > 0.05)
+    }
+}
+
+/// Counts, and times the changes.
+#[derive(Default)]
+struct Watch {
+    trace: bool,
+    goals: usize,
+    last: Option<u64>,
+    target: Option<u64>,
+    change_began: Option<f64>,
+    changing_s: f64,
+}
+
+impl Sink for Watch {
+    fn event(&mut self, stamped: Stamped) {
+        if self.trace
+            && !matches!(
+                stamped.event,
+                Event::FocusSample { .. } | Event::FrameGrabbed { .. }
+            )
+        {
+            let mut text = format!("{:.2} {:?}", stamped.time_s, stamped.event);
+            text.truncate(400);
+            println!("{text}");
+        }
+        match stamped.event {
+            Event::PhaseStarted { phase, .. } => {
+                if let Some(began) = self.change_began.take() {
+                    self.changing_s += stamped.time_s - began;
+                }
+                self.change_began = (phase == Phase::Switch).then_some(stamped.time_s);
+            }
+            Event::Iteration { converged, .. } => self.goals += usize::from(!converged),
+            _ => {}
+        }
+    }
+    fn frame(&mut self, frame: &Frame, role: FrameRole) {
+        self.last = Some(frame.sequence);
+        if role == FrameRole::Target {
+            self.target = Some(frame.sequence);
+        }
+    }
+}
+
+fn word(value: &impl Serialize) -> Outcome<String> {
+    Ok(serde_json::to_value(value)?
+        .as_str()
+        .unwrap_or_default()
+        .into())
+}
+
+/// How far two views are apart, um and deg.
+fn apart(a: &Truth, b: &Truth) -> (f64, f64) {
+    let um = f64::hypot(
+        a.centre_um[0] - b.centre_um[0],
+        a.centre_um[1] - b.centre_um[1],
+    );
+    let turn = (a.angle_deg - b.angle_deg + 180.0).rem_euclid(360.0) - 180.0;
+    (um, turn.abs())
+}
+
+/// Saves, puts the slide back elsewhere, and comes back.
+pub(crate) fn run(
+    scene: &Scene,
+    index: u64,
+    known: &[Known],
+    law: Law,
+    trace: bool,
+) -> Outcome<Record> {
+    let (name, specimen) = scene.specimen()?;
+    let bench = Bench::new((scene.kind, scene.seed), scene.noise, specimen)?;
+    let mut watch = Watch::default();
+    let mut record = Record {
+        index,
+        stage: format!("{:?}", scene.kind),
+        specimen: name,
+        begins_with: scene.begins_with.into(),
+        start_um: f64::hypot(scene.start_um[0], scene.start_um[1]),
+        turn_deg: scene.turn_deg,
+        noise: scene.noise,
+        ..Record::default()
+    };
+    let bring = |id: &str, watch: &mut Watch| {
+        let id = ObjectiveId(id.into());
+        let focus = Some(FocusOptions::default());
+        let mut bring = Bring::new(id, focus, VisionOptions::default());
+        steps(&mut bring, &bench.scope, watch)
+    };
+    bench.twin.centre_specimen(scene.target_um, 0.0);
+    let saved = bring("40x", &mut watch).and_then(|_| {
+        let mut save = SaveTarget::new(SaveOptions::default());
+        steps(&mut save, &bench.scope, &mut watch)
+    });
+    let target = match saved {
+        Ok(target) => target,
+        Err(refusal) => {
+            (record.verdict, record.message) = ("refused_at_saving".into(), refusal.to_string());
+            return Ok(record);
+        }
+    };
+    record.features = target.features.len();
+    let aim = watch.target.and_then(|s| bench.twin.truth(s));
+    let aim = aim.ok_or("the twin forgot the target")?;
+    if scene.begins_with != "40x" {
+        bring(scene.begins_with, &mut watch)?;
+    }
+    let [x, y] = scene.start_um;
+    let (s, c) = scene.turn_deg.to_radians().sin_cos();
+    let shift_um = [s * y - c * x, -s * x - c * y];
+    bench
+        .twin
+        .remount(scene.target_um, shift_um, scene.turn_deg, false);
+    watch = Watch {
+        trace,
+        ..Watch::default()
+    };
+    let mut options = RepositionOptions::default();
+    options.servo.law = law;
+    let before = (bench.scope.counters(), bench.scope.clock().now());
+    let mut reposition = Reposition::new(target, options).with_calibrations(of(known, scene));
+    let answer = steps(&mut reposition, &bench.scope, &mut watch);
+    let after = (bench.scope.counters(), bench.scope.clock().now());
+    record.goals = watch.goals;
+    record.moves = after.0.moves - before.0.moves;
+    record.frames = after.0.frames - before.0.frames;
+    record.seconds = after.1.seconds() - before.1.seconds();
+    record.seconds_unchanged = record.seconds - watch.changing_s;
+    let truth = watch.last.and_then(|s| bench.twin.truth(s));
+    let truth = truth.ok_or("the twin forgot a frame")?;
+    (record.true_um, record.true_deg) = apart(&aim, &truth);
+    record.defocus_um = truth.defocus_um;
+    match answer {
+        Ok(outcome) => {
+            record.verdict = word(&outcome.verdict)?;
+            record.reason = word(&outcome.reason)?;
+            record.claimed_um = outcome.estimated_error_um;
+            record.message = outcome.message;
+            if outcome.verdict != Verdict::Arrived && trace {
+                println!("{}", record.message);
+            }
+        }
+        Err(fault) => (record.verdict, record.message) = ("fault".into(), fault.to_string()),
+    }
+    Ok(record)
+}
