@@ -23,7 +23,7 @@ const CLOSE_GROWS: f64 = 1.15;
 const ARRIVALS: u8 = 8;
 /// Where the scatter does not count, an arrival is refused that is off by so many standard deviations.
 const FOR_SURE: f64 = 4.0;
-/// A peak at which no look is as sharp as this share of the sharpest cannot be reached: it is somewhere else.
+/// A peak at which no look is as sharp as this share of the sharpest is somewhere else: at the sharpest, where that is seen again.
 const REACHED: f64 = 0.5;
 
 impl Focus {
@@ -70,6 +70,13 @@ impl Focus {
         let [off_um2, sigma_um2] = peak.off_um2(&seen, top);
         let scatters = peak.scatter_um > SCATTERS * depth_um;
         let close_um = CLOSE * CLOSE_GROWS.powi(i32::from(count) - 1) * depth_um;
+        // A peak that is much narrower than the looks are apart is fitted badly.
+        let sharpest_um = near.iter().max_by(|a, b| a.value.total_cmp(&b.value));
+        let sharpest_um = sharpest_um.map_or(peak.z_um, |p| p.z_um);
+        if seen.value < REACHED * top && count >= LOOKS && peak.z_um != sharpest_um {
+            let z_um = sharpest_um;
+            return self.arrive(scope, Peak { z_um, ..peak }, level);
+        }
         let is_good = match scatters {
             true => count >= LOOKS && off_um2 <= close_um.powi(2),
             false => off_um2 <= close_um.powi(2) + FOR_SURE * sigma_um2,
