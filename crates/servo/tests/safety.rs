@@ -151,7 +151,7 @@ fn the_iteration_limit_is_an_answer_not_an_arrival() {
     let (target, _) = bench.save();
     bench.twin.remount(PLACE_UM, [38.0, -24.0], 3.0, false);
     let mut options = options();
-    options.servo.max_iterations = 2;
+    options.servo.max_iterations = 1;
     let outcome = run(
         &mut Reposition::new(target, options),
         &bench.scope,

@@ -322,8 +322,13 @@ impl Focus {
             });
         let step = FINE * self.width_um(0);
         // Two samples on either side of the sharpest: a peak that is seen from one side only is known badly. Where it was expected, and
-        // lies between the samples, one is enough.
-        let wanted = if expected && continued == 0 { 1 } else { 2 };
+        // lies surely between the samples, one is enough.
+        let is_between = curve.bracketed(self.contrast()).is_some();
+        let wanted = if expected && continued == 0 && is_between {
+            1
+        } else {
+            2
+        };
         let reach = 2.0 * FINE * self.width_um(level) + 1e-3;
         let near: Vec<Point> = curve.within(top, reach);
         let [below, above] = [-1.0, 1.0].map(|side| {
@@ -353,7 +358,7 @@ impl Focus {
             }
         }
         let falls = self.falls(level, &curve.0[best]);
-        if curve.bracketed(self.contrast()).is_none() || below == 0 || above == 0 || !falls {
+        if !is_between || below == 0 || above == 0 || !falls {
             return self.refuted(scope);
         }
         let ends = [top - reach, top + reach];
