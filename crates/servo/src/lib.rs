@@ -80,6 +80,7 @@ pub use servo::Servo;
 pub use servo::contradiction::Contradiction;
 pub use servo::end::{LimitedBy, ServoEnd, ServoResult};
 pub use servo::hand_over::HandOver;
+pub use servo::missing::{Beyond, Missing};
 pub use servo::options::{Law, ServoOptions};
 pub use servo::run::ServoRun;
 pub use servo::task::ServoTask;
