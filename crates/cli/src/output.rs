@@ -2,7 +2,7 @@
 
 use scopeservo_geometry::Affine2;
 use scopeservo_servo::{
-    Calibration, Change, Changing, LimitedBy, Missing, Outcome, Reason, Verdict,
+    Calibration, Change, Changing, LimitedBy, Missing, Outcome, Reason, TargetQuality, Verdict,
 };
 use serde::Serialize;
 
@@ -80,6 +80,25 @@ pub(crate) struct CalibrationJson {
     /// Of one move of 100 um and, where the stage turns, 1 deg: standard deviation of the distance, um.
     pub(crate) expected_error_um: Option<f64>,
     pub(crate) full: Calibration,
+}
+
+/// What is expected of a target.
+#[derive(Debug, Serialize)]
+pub(crate) struct QualityJson<'a> {
+    /// Whether it can be told from its surroundings.
+    pub(crate) ok: bool,
+    /// In words, with what would help.
+    pub(crate) message: String,
+    #[serde(flatten)]
+    pub(crate) expected: &'a TargetQuality,
+}
+
+pub(crate) fn quality(expected: &TargetQuality) -> QualityJson<'_> {
+    QualityJson {
+        ok: expected.can_be_told(),
+        message: format!("it {expected}"),
+        expected,
+    }
 }
 
 #[derive(Debug, Serialize)]

@@ -85,6 +85,8 @@ pub use servo::options::{Law, ServoOptions};
 pub use servo::run::ServoRun;
 pub use servo::task::ServoTask;
 pub use switching::{FocusSwitch, Switching, SwitchingOptions, SwitchingReport};
-pub use target::{InFocus, Picture, SaveOptions, SaveTarget, Taken, Target};
+pub use target::{
+    InFocus, Picture, SaveOptions, SaveTarget, Taken, Target, TargetQuality, Tried, Weakness,
+};
 pub use trial::{Drift, drift_seen, scale_seen};
 pub use vision::VisionOptions;

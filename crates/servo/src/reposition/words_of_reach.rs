@@ -102,7 +102,8 @@ fn way(axis: Axis, si: f64) -> String {
     match (axis.is_rotation(), si.abs() * 1e6) {
         (true, _) => format!("{:.1} deg", si.to_degrees()),
         (false, um) if um >= 1000.0 => format!("{:.1} mm", si * 1e3),
-        (false, _) => format!("{:.0} um", si * 1e6),
+        (false, um) if um >= 10.0 => format!("{:.0} um", si * 1e6),
+        (false, _) => format!("{:.1} um", si * 1e6),
     }
 }
 
