@@ -1,7 +1,9 @@
 //! The keys of the JSON that `--json` prints, where they are many. Keys are stable: they are added to, never renamed.
 
 use scopeservo_geometry::Affine2;
-use scopeservo_servo::{Calibration, Change, Changing, LimitedBy, Outcome, Reason, Verdict};
+use scopeservo_servo::{
+    Calibration, Change, Changing, LimitedBy, Missing, Outcome, Reason, TargetQuality, Verdict,
+};
 use serde::Serialize;
 
 /// A verdict as people read it.
@@ -34,6 +36,9 @@ pub(crate) struct DemoJson {
     pub(crate) estimated_error_um: Option<f64>,
     pub(crate) estimated_error_deg: Option<f64>,
     pub(crate) limited_by: Option<LimitedBy>,
+    pub(crate) angle_left_deg: Option<f64>,
+    pub(crate) in_view: Option<f64>,
+    pub(crate) missing: Option<MissingJson>,
     pub(crate) true_error_um: Option<f64>,
     pub(crate) true_error_deg: Option<f64>,
     pub(crate) virtual_time_s: f64,
@@ -75,6 +80,57 @@ pub(crate) struct CalibrationJson {
     /// Of one move of 100 um and, where the stage turns, 1 deg: standard deviation of the distance, um.
     pub(crate) expected_error_um: Option<f64>,
     pub(crate) full: Calibration,
+}
+
+/// What is expected of a target.
+#[derive(Debug, Serialize)]
+pub(crate) struct QualityJson<'a> {
+    /// Whether it can be told from its surroundings.
+    pub(crate) ok: bool,
+    /// In words, with what would help.
+    pub(crate) message: String,
+    #[serde(flatten)]
+    pub(crate) expected: &'a TargetQuality,
+}
+
+pub(crate) fn quality(expected: &TargetQuality) -> QualityJson<'_> {
+    QualityJson {
+        ok: expected.can_be_told(),
+        message: format!("it {expected}"),
+        expected,
+    }
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct MissingJson {
+    pub(crate) axes: Vec<BeyondJson>,
+    pub(crate) turned_deg: f64,
+    pub(crate) turn_back_deg: Option<f64>,
+}
+
+/// In um or deg: above the upper end, or below the lower one where it is negative.
+#[derive(Debug, Serialize)]
+pub(crate) struct BeyondJson {
+    pub(crate) axis: String,
+    pub(crate) by: f64,
+    pub(crate) unit: &'static str,
+    pub(crate) from: f64,
+    pub(crate) to: f64,
+}
+
+pub(crate) fn missing(missing: &Missing) -> MissingJson {
+    let axes = missing.beyond.iter().map(|b| BeyondJson {
+        axis: b.axis.to_string(),
+        by: b.axis.to_display(b.by),
+        unit: b.axis.display_unit(),
+        from: b.axis.to_display(b.min),
+        to: b.axis.to_display(b.max),
+    });
+    MissingJson {
+        axes: axes.collect(),
+        turned_deg: missing.turned_deg,
+        turn_back_deg: missing.turn_back_deg,
+    }
 }
 
 pub(crate) fn magnifications(outcome: &Outcome) -> Vec<MagnificationJson> {

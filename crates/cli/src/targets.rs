@@ -4,6 +4,7 @@ use crate::answer::Answer;
 use crate::args::{TargetExportArgs, TargetImportArgs, TargetListArgs};
 use crate::commands::library_of;
 use crate::error::CliError;
+use crate::output;
 use scopeservo_library::Targets as _;
 use serde_json::json;
 
@@ -22,11 +23,13 @@ pub(crate) fn list_targets(args: &TargetListArgs, answer: &Answer) -> Result<boo
         let Some(kept) = answer.or_warn(library.target(&name)) else {
             continue;
         };
+        let quality = kept.target.quality.as_ref();
         say!(
             answer,
-            "{name:24} {:8} {:5} features  {}  {}",
+            "{name:24} {:8} {:5} features  {:5} {}  {}",
             kept.target.objective.0,
             kept.target.features.len(),
+            quality.map_or("?".into(), |q| format!("{:.0} %", 100.0 * q.chance)),
             kept.saved,
             kept.instrument
         );
@@ -36,6 +39,7 @@ pub(crate) fn list_targets(args: &TargetListArgs, answer: &Answer) -> Result<boo
             "instrument": kept.instrument,
             "objective": kept.target.objective,
             "features": kept.target.features.len(),
+            "quality": quality.map(output::quality),
         });
         answer.push("targets", entry);
     }

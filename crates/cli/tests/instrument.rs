@@ -91,14 +91,38 @@ fn stages_without_rotation_and_one_objective_work_and_tell_the_angle_left() {
         here,
         "stage = \"xyz\"\nobjectives = [\"40x\"]\ncentre_um = [40, 25]\nturned_deg = 2",
     );
-    let turned = scopeservo(here, &["reposition", "spot", "--lambda", "0.7", "--json"]);
-    assert_eq!(code(&turned), 3, "{}", stderr(&turned));
-    let turned = json(&turned);
-    assert_eq!(turned["reason"], "cannot_turn", "{turned}");
+    let turned = ok(here, &["reposition", "spot", "--json"]);
+    assert_eq!(turned["verdict"], "arrived", "{turned}");
+    let left = turned["angle_left_deg"].as_f64().unwrap();
+    assert!((left - 2.0).abs() < 0.02, "{turned}");
+    assert!(turned["in_view"].as_f64().unwrap() > 0.9, "{turned}");
     assert!(
         turned["message"].as_str().unwrap().contains("2.0"),
         "{turned}"
     );
+    // Less may be left: by this run, and by the description.
+    let strict = ["reposition", "spot", "--within-deg", "1", "--json"];
+    let described = |asked: &str| {
+        let toml = fs::read_to_string(here.join("scopeservo.toml")).unwrap();
+        fs::write(here.join("scopeservo.toml"), format!("{toml}{asked}")).unwrap();
+        scopeservo(here, &["reposition", "spot", "--json"])
+    };
+    let refused = [
+        scopeservo(here, &strict),
+        described("\n[arrival]\nwithin_deg = 1\n"),
+    ];
+    for refused in refused {
+        assert_eq!(code(&refused), 3, "{}", stderr(&refused));
+        let refused = json(&refused);
+        assert_eq!(refused["reason"], "cannot_turn", "{refused}");
+        assert!(refused["message"].as_str().unwrap().contains("2.0"));
+    }
+    // The command line goes before the description.
+    let allowed = ["reposition", "spot", "--within-deg", "3", "--json"];
+    assert_eq!(ok(here, &allowed)["verdict"], "arrived");
+    for bad in [["--within-deg", "0"], ["--within-um", "-1"]] {
+        assert_bad_input(here, &["reposition", "spot", bad[0], bad[1]]);
+    }
 }
 
 #[test]

@@ -16,7 +16,7 @@ use scopeservo_features::{Features, Mask};
 use scopeservo_scope::{
     Channels, FlatField, Frame, Kinematics, ObjectiveId, Samples, StagePose, Timestamp,
 };
-use scopeservo_servo::{Calibration, Picture, Taken, Target};
+use scopeservo_servo::{Calibration, Picture, Taken, Target, TargetQuality};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -69,6 +69,9 @@ struct Quality {
     features: usize,
     /// How many of them were seen to move with the stage.
     moved: Option<usize>,
+    /// How surely it is come back to. Those of earlier versions lack it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    expected: Option<TargetQuality>,
 }
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -94,6 +97,7 @@ pub(crate) fn encode(kept: &KeptTarget) -> Result<(Vec<u8>, String), LibraryErro
         quality: Quality {
             features: target.features.len(),
             moved: target.moved,
+            expected: target.quality.clone(),
         },
         periods_px: target.periods_px.clone(),
         mask_cell_px: target.mask.as_ref().map(Mask::cell),
@@ -183,6 +187,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<KeptTarget, String> {
             periods_px: head.periods_px,
             moved: head.quality.moved,
             mask: mask.transpose()?,
+            quality: head.quality.expected,
             taken: taken.map(Arc::new),
         },
     })
@@ -306,6 +311,7 @@ fn picture(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
 mod tests {
     use super::*;
     use scopeservo_features::{Descriptors, Keypoint};
+    use scopeservo_servo::{Tried, Weakness};
 
     fn kept(bit_depth: u8, channels: Channels) -> KeptTarget {
         let samples = 40 * 30 * if channels == Channels::Rgb { 3 } else { 1 };
@@ -362,6 +368,20 @@ mod tests {
             periods_px: vec![[12.0, 0.5]],
             moved: Some(5),
             mask: Some(Mask::of_cells(40, 30, 8, |[x, _]| x > 20.0)),
+            quality: Some(TargetQuality {
+                chance: 0.75,
+                tried: vec![Tried {
+                    objective: ObjectiveId("40x".into()),
+                    views: 8,
+                    found: 6,
+                    misled: 0,
+                }],
+                features: 3,
+                textured: 0.5,
+                sigma_um: Some(0.02),
+                sigma_deg: None,
+                weakness: Some(Weakness::FewFeatures),
+            }),
             taken: Some(Arc::new(taken)),
         };
         KeptTarget {

@@ -291,6 +291,7 @@ mod tests {
             periods_px: Vec::new(),
             moved: None,
             mask: None,
+            quality: None,
             taken: None,
         };
         let frame = Frame {

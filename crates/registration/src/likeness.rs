@@ -82,7 +82,7 @@ impl Plane {
     }
 
     /// The value between pixels; `None` outside.
-    fn at(&self, p: Vec2) -> Option<f64> {
+    pub fn at(&self, p: Vec2) -> Option<f64> {
         let inside = p[0] >= 0.0 && p[1] >= 0.0;
         let (x, y) = (p[0] as usize, p[1] as usize);
         if !inside || x + 1 >= self.width || y + 1 >= self.height {

@@ -112,7 +112,9 @@ impl ServoError {
             | Self::PictureStays { .. }
             | Self::StageTooCoarse { .. }
             | Self::WrongObjective { .. } => ErrorCode::WrongObjective,
-            Self::PoorTarget { .. } | Self::NothingToFollow => ErrorCode::PoorTarget,
+            Self::PoorTarget { .. } | Self::HopelessTarget { .. } | Self::NothingToFollow => {
+                ErrorCode::PoorTarget
+            }
             Self::NothingMoves { .. } | Self::CheckStands { .. } => ErrorCode::NothingMoves,
             Self::CheckUnclear { .. } | Self::CheckTooCoarse { .. } => ErrorCode::CheckFailed,
             Self::Repeats { .. } => ErrorCode::Ambiguous,

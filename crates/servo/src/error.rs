@@ -1,5 +1,6 @@
 //! What can stop a procedure.
 
+use crate::TargetQuality;
 use crate::words::{pitch_in_words, rival_in_words, way_in_words};
 use scopeservo_features::FeatureError;
 use scopeservo_registration::{NoGrid, NotFound, Rival};
@@ -298,6 +299,12 @@ pub enum ServoError {
         moved: Option<usize>,
         /// Needed.
         needed: usize,
+    },
+    /// What the view shows is too little to be found again.
+    #[error("this view {quality}; nothing was saved")]
+    HopelessTarget {
+        /// What was tried.
+        quality: Box<TargetQuality>,
     },
     /// The stage moved, and nothing in the image did.
     #[error(

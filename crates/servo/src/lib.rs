@@ -80,10 +80,13 @@ pub use servo::Servo;
 pub use servo::contradiction::Contradiction;
 pub use servo::end::{LimitedBy, ServoEnd, ServoResult};
 pub use servo::hand_over::HandOver;
+pub use servo::missing::{Beyond, Missing};
 pub use servo::options::{Law, ServoOptions};
 pub use servo::run::ServoRun;
 pub use servo::task::ServoTask;
 pub use switching::{FocusSwitch, Switching, SwitchingOptions, SwitchingReport};
-pub use target::{InFocus, Picture, SaveOptions, SaveTarget, Taken, Target};
+pub use target::{
+    InFocus, Picture, SaveOptions, SaveTarget, Taken, Target, TargetQuality, Tried, Weakness,
+};
 pub use trial::{Drift, drift_seen, scale_seen};
 pub use vision::VisionOptions;

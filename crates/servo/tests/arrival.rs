@@ -2,8 +2,8 @@
 
 mod common;
 
-use common::{Bench, PLACE_UM, bench, bench_over, one_objective, run_through_json};
-use scopeservo_scope::{Axis, AxisRange, Kinematics};
+use common::{PLACE_UM, bench, one_objective, run_through_json};
+use scopeservo_scope::{Axis, Kinematics};
 use scopeservo_servo::{Reason, Verdict};
 use scopeservo_twin::{AutoExposureConfig, Config, StageConfig, StageFault};
 
@@ -75,29 +75,6 @@ fn it_arrives_with_a_cheap_camera_that_rolls_and_exposes_itself() {
 }
 
 #[test]
-fn without_a_rotation_axis_the_place_comes_back_and_the_angle_left_is_refused() {
-    for stage in [StageConfig::xyz(), StageConfig::xy()] {
-        let bench = bench(one_objective().with_stage(stage));
-        let (target, truth) = bench.save();
-        bench.twin.remount(PLACE_UM, [38.0, -24.0], 1.5, false);
-        let outcome = bench.reposition(target).unwrap();
-        assert_eq!(
-            (outcome.verdict, outcome.reason),
-            (Verdict::Refused, Reason::CannotTurn),
-            "{}",
-            outcome.message
-        );
-        let (um, deg) = bench.error_from(&truth);
-        assert!(um <= 1.0, "{um} um");
-        let told = outcome.estimated_error_deg.unwrap();
-        assert!(
-            (deg - 1.5).abs() < 0.02 && (told - 1.5).abs() < 0.02,
-            "{deg} {told}"
-        );
-    }
-}
-
-#[test]
 fn a_run_stored_and_restored_at_every_step_ends_as_if_it_had_not_been() {
     let go = |through_json: bool| {
         let bench = bench(one_objective());
@@ -110,36 +87,6 @@ fn a_run_stored_and_restored_at_every_step_ends_as_if_it_had_not_been() {
         }
     };
     assert_eq!(go(false), go(true));
-}
-
-fn refused(bench: &Bench, reason: Reason) {
-    let (target, _) = bench.save();
-    bench.twin.remount(PLACE_UM, [38.0, -24.0], 3.0, false);
-    let outcome = bench.reposition(target).unwrap();
-    assert_eq!(
-        (outcome.verdict, outcome.reason),
-        (Verdict::Refused, reason),
-        "{}",
-        outcome.message
-    );
-}
-
-#[test]
-fn a_way_past_the_limits_is_refused_and_stays_inside() {
-    // 3 deg about the view's centre needs 6.5 mm; 2 mm are allowed.
-    let ranges = vec![AxisRange {
-        axis: Axis::Y,
-        min: -2e-3,
-        max: 2e-3,
-    }];
-    let bench = bench_over(
-        one_objective(),
-        std::sync::Arc::new(scopeservo_twin::specimen::Tissue::new(7)),
-        ranges,
-    );
-    refused(&bench, Reason::OutsideLimits);
-    let y = bench.scope.gate().position().unwrap().y.unwrap().m();
-    assert!(y.abs() <= 2e-3);
 }
 
 #[test]

@@ -50,6 +50,9 @@ pub struct Config {
     /// How targets are saved.
     #[serde(default)]
     pub target: TargetConfig,
+    /// What is asked of an arrival.
+    #[serde(default)]
+    pub arrival: ArrivalConfig,
     /// Where calibrations and targets are kept, from the folder of this file on.
     #[serde(default = "data_folder")]
     pub data_folder: PathBuf,
@@ -185,6 +188,16 @@ pub struct TargetConfig {
     pub still: bool,
 }
 
+/// What is asked of an arrival: it is claimed only within this for sure.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArrivalConfig {
+    /// Distance of the view's middle from the target's. 0.8 pixels, or as near as the stage can, when left out.
+    pub within_um: Option<f64>,
+    /// Angle, also of what a stage cannot turn. 0.01 deg when left out; of a stage that cannot turn, while the middle half of the target is in view.
+    pub within_deg: Option<f64>,
+}
+
 impl Config {
     /// Reads a file.
     ///
@@ -301,6 +314,14 @@ impl Config {
                 "the driver's nosepiece brings its own objectives: leave out [[objective]]",
             )),
         }?;
+        let arrival = [self.arrival.within_um, self.arrival.within_deg];
+        if arrival
+            .into_iter()
+            .flatten()
+            .any(|v| !(v > 0.0 && v.is_finite()))
+        {
+            return Err(self.senseless("arrival: within_um and within_deg must be above 0"));
+        }
         if let Some(change) = &self.objective_change
             && change.retract_z_um.is_some() != change.margin_um.is_some()
         {
@@ -425,6 +446,11 @@ mod tests {
         );
         let both = wrong("retract_z_um", "anywhere = true\nretract_z_um");
         assert!(both.contains("exactly one of"), "{both}");
+        let asked = said(&format!("{TWIN_TEMPLATE}\n[arrival]\nwithin_deg = 0\n"));
+        assert!(
+            asked.contains("within_um and within_deg must be above 0"),
+            "{asked}"
+        );
         let margin = wrong("margin_um = 0", "");
         assert!(
             margin.contains("margin_um belongs to retract_z_um"),

@@ -95,6 +95,11 @@ nosepiece = "main"                # a driver, or "by-hand" (you are asked to tur
 # A target is saved with a step aside of some pixels, which shows what is fixed to the camera. Where nothing may move:
 # [target]
 # still = true
+
+# What is asked of an arrival, where that is not as near as the stage and the images allow. On the command line: --within-um, --within-deg.
+# [arrival]
+# within_um = 1.5
+# within_deg = 5                  # also of what the stage cannot turn
 "#;
 
 /// For the simulated microscope.

@@ -33,6 +33,13 @@ pub(crate) struct MovingArgs {
     /// Iterations at each magnification, at most.
     #[arg(long, value_name = "N", default_value_t = 64)]
     max_iterations: usize,
+    /// Arrive only within this distance for sure; what is farther off, and as near as the stage gets, is refused with what the stage can do. A stage
+    /// that does not come within 0.8 pixels in some moves may stay as far off as this. [arrival] in the description says the same for every run.
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
+    within_um: Option<f64>,
+    /// The same of the angle. What a stage cannot turn may be left up to this; without it, while the middle half of the target is in view.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    within_deg: Option<f64>,
 }
 
 impl MovingArgs {
@@ -61,7 +68,17 @@ impl MovingArgs {
         if self.max_iterations == 0 {
             return usage("--max-iterations must be at least 1");
         }
+        let within = [self.within_um, self.within_deg];
+        if within
+            .into_iter()
+            .flatten()
+            .any(|v| !(v > 0.0 && v.is_finite()))
+        {
+            return usage("--within-um and --within-deg must be above 0");
+        }
         Ok(ServoOptions {
+            within_um: self.within_um,
+            within_deg: self.within_deg,
             law: match self.method() {
                 Method::Direct => Law::Direct,
                 Method::Paper => Law::Proportional,

@@ -200,7 +200,8 @@ pub(crate) struct PlaceArgs {
   scopeservo reposition mitosis-3
   scopeservo reposition mitosis-3 --out run --json
   scopeservo reposition mitosis-3 --method paper   a fifth of the way at a time, at every magnification
-  scopeservo reposition mitosis-3 --calibrate      measure the objectives anew on the way")]
+  scopeservo reposition mitosis-3 --calibrate      measure the objectives anew on the way
+  scopeservo reposition mitosis-3 --within-um 2 --within-deg 10   2 um are near enough, and 10 deg may be left of what the stage cannot turn")]
 pub(crate) struct RepositionArgs {
     /// The target's name.
     pub(crate) name: String,

@@ -22,10 +22,15 @@ use std::path::Path;
 use std::time::Instant;
 
 pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool, CliError> {
-    let servo = args.moving.options()?;
+    let asked = args.moving.options()?;
     let focus = args.focusing.options()?;
     // What can be wrong without the instrument is found before it is touched.
     let config = Config::read(&args.instrument.description.config)?;
+    let servo = ServoOptions {
+        within_um: asked.within_um.or(config.arrival.within_um),
+        within_deg: asked.within_deg.or(config.arrival.within_deg),
+        ..asked
+    };
     let kept = Folder::new(config.resolve(&config.data_folder)).target(&args.name)?;
     let foreign_um_per_px = match kept.instrument == config.name {
         true => None,
@@ -107,6 +112,9 @@ fn show(
         "estimated_error_um": outcome.estimated_error_um,
         "estimated_error_deg": outcome.estimated_error_deg,
         "limited_by": outcome.limited_by,
+        "angle_left_deg": outcome.angle_left_deg,
+        "in_view": outcome.in_view,
+        "missing": outcome.missing.as_ref().map(output::missing),
         "unique_within_um": outcome.unique_within_um,
         "moves": counters.moves,
         "frames": counters.frames,

@@ -6,6 +6,7 @@ use crate::args::TargetSaveArgs;
 use crate::error::{CliError, Code};
 use crate::journal::Asked;
 use crate::open_instrument::OpenInstrument;
+use crate::output;
 use crate::progress::Watcher;
 use scopeservo_library::Targets as _;
 use scopeservo_scope::ObjectiveId;
@@ -112,6 +113,7 @@ fn tell(name: &str, target: &Target, opened: &OpenInstrument, answer: &Answer) {
         "objective": target.objective,
         "features": target.features.len(),
         "moved_features": target.moved,
+        "quality": target.quality.as_ref().map(output::quality),
         "shadows": opened.scope.flat_field().map_or(0, |seen| seen.shadows()),
     }));
 }
@@ -147,6 +149,9 @@ fn keep(
              prove it, by a step aside where its own moves do not",
             target.objective
         ),
+    }
+    if let Some(quality) = &target.quality {
+        say!(answer, "  it {quality}");
     }
     say!(answer, "  {} and its image beside it", file.display());
     say!(answer, "  come back with: scopeservo reposition {name}");

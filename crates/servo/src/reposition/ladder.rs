@@ -311,6 +311,7 @@ mod tests {
                     sigma_um: 0.1,
                     sigma_deg: 0.001,
                     limited_by: None,
+                    angle_is_left: false,
                 },
             },
             ..lost(from)

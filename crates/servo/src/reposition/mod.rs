@@ -2,11 +2,14 @@
 
 mod ahead;
 mod ladder;
+mod left;
 mod outcome;
 mod parcentric;
 mod procedure;
 mod words;
+mod words_of_reach;
 
 pub use ladder::{Ladder, Leg, LegPolicy, Shortest, SoFar};
+pub(crate) use left::Left;
 pub use outcome::{MagnificationResult, Outcome, Reason, Verdict};
 pub use procedure::{Reposition, RepositionOptions};

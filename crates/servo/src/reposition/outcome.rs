@@ -1,6 +1,6 @@
 //! The answer of a run.
 
-use crate::{Calibration, ErrorCode, LimitedBy, ServoEnd, ServoError};
+use crate::{Calibration, ErrorCode, LimitedBy, Missing, ServoEnd, ServoError};
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 
@@ -42,8 +42,12 @@ pub enum Reason {
     Diverged,
     /// The way leads outside the limits, or past another rule of the motion gate.
     OutsideLimits,
-    /// The place is back, but the stage has no axis for the angle that is left.
+    /// The place is back, but the stage has no axis for the angle that is left, and that is more than may be left.
     CannotTurn,
+    /// The stage does not go, or turn, as far as it takes.
+    CannotReach,
+    /// Not as near as was asked for, and as near as it gets.
+    OutsideTolerance,
     /// Another place looks the same.
     Ambiguous,
     /// The stage moved, and nothing in the image did: stuck, or all of it is on the camera.
@@ -85,6 +89,15 @@ pub struct Outcome {
     /// What kept the view from coming nearer than it did, where that is not within the tolerance.
     #[serde(default)]
     pub limited_by: Option<LimitedBy>,
+    /// The angle that a stage leaves which cannot turn so far, degrees; `None` where it turned, or the place is not back.
+    #[serde(default)]
+    pub angle_left_deg: Option<f64>,
+    /// Share of the target's area that is in the view then.
+    #[serde(default)]
+    pub in_view: Option<f64>,
+    /// What the stage lacks to get there.
+    #[serde(default)]
+    pub missing: Option<Missing>,
     /// Width and height of the widest view, um on the specimen: what looks the same farther away could not be seen.
     #[serde(default)]
     pub unique_within_um: Option<[f64; 2]>,

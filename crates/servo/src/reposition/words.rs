@@ -1,19 +1,29 @@
 //! The end of a run in words.
 
-use super::{Reason, Verdict};
+use super::words_of_reach::{cannot_reach, outside_tolerance};
+use super::{Left, Reason, Verdict};
 use crate::target::MIN_TARGET_FEATURES;
 use crate::words::rival_in_words;
 use crate::{Contradiction, LimitedBy, ServoEnd, ServoResult};
 
-/// The answer that the end of the last loop means, at the magnification `at`. `seen_below`: the target was seen at a lower one.
+/// The answer that the end of the last loop means, at the magnification `at`. `seen_below`: the target was seen at a lower one; `left`: what a
+/// stage has left that did not turn.
 pub(super) fn answer_of(
     end: &ServoEnd,
     at: f64,
     seen_below: bool,
-    angle_deg: f64,
+    left: Option<&Left>,
 ) -> (Verdict, Reason, String) {
     match end {
-        ServoEnd::Converged(result) => converged(result, angle_deg),
+        ServoEnd::Converged(result) => converged(result, left),
+        ServoEnd::CannotReach { missing, .. } => {
+            let message = cannot_reach(missing);
+            (Verdict::Refused, Reason::CannotReach, message)
+        }
+        ServoEnd::OutsideTolerance { .. } => {
+            let message = outside_tolerance(end);
+            (Verdict::Refused, Reason::OutsideTolerance, message)
+        }
         ServoEnd::Lost(reason) => {
             let advice = if seen_below {
                 "It was seen at a lower magnification, so look for a bubble, poor focus or a slipping stage"
@@ -77,27 +87,31 @@ pub(super) fn answer_of(
     }
 }
 
-/// The place is back; the angle may be left, by more than `angle_deg`, where the stage cannot turn.
-fn converged(result: &ServoResult, angle_deg: f64) -> (Verdict, Reason, String) {
-    let left_deg = result.error.angle_deg().abs() - 2.0 * result.sigma_deg;
-    if left_deg > angle_deg.max(0.02) {
-        let message = format!(
-            "the place is back, {:.2} um off, but {:.3} deg are left and this stage cannot turn: turn the specimen \
-             by hand and try again",
-            result.error.distance_um(),
-            result.error.angle_deg()
-        );
-        return (Verdict::Refused, Reason::CannotTurn, message);
-    }
+/// The place is back; the angle may be left.
+fn converged(result: &ServoResult, left: Option<&Left>) -> (Verdict, Reason, String) {
+    let (off_um, off_deg) = (result.error.distance_um(), result.error.angle_deg().abs());
     let limit = match result.limited_by {
         Some(LimitedBy::Repeatability) => ", as near as this stage comes back to a place",
         Some(LimitedBy::Measurement) => ", as near as this little texture tells",
         None => "",
     };
+    let Some(left) = left else {
+        let message = format!(
+            "the saved view is back, {off_um:.2} um and {off_deg:.4} deg off by its own measurement{limit}"
+        );
+        return (Verdict::Arrived, Reason::Converged, message);
+    };
+    let percent = 100.0 * left.in_view;
+    if left.is_too_much {
+        let message = format!(
+            "the place is back, {off_um:.2} um off, but {off_deg:.2} deg are left, and this stage does not turn: {percent:.0} % of the \
+             saved view is in view. Turn the specimen back by hand and try again"
+        );
+        return (Verdict::Refused, Reason::CannotTurn, message);
+    }
     let message = format!(
-        "the saved view is back, {:.2} um and {:.4} deg off by its own measurement{limit}",
-        result.error.distance_um(),
-        result.error.angle_deg().abs()
+        "the place of the saved view is back, {off_um:.2} um off by its own measurement{limit}; {off_deg:.2} deg are left, which this stage \
+         does not turn: {percent:.0} % of the saved view is in view"
     );
     (Verdict::Arrived, Reason::Converged, message)
 }

@@ -1,6 +1,6 @@
 //! What the servo asks of a view beyond its pose: is this the specimen, and is it the only place that looks like this?
 
-use super::convergence::Criteria;
+use super::criteria::Criteria;
 use super::sight::{Located, Sight};
 use super::state::Servo;
 use crate::procedure::Progress;

@@ -1,124 +1,15 @@
 //! The convergence test: when a loop has arrived, and when it gives up.
 
+use super::criteria::Criteria;
 use crate::proof::Drift;
-use crate::{LimitedBy, PoseError, ServoEnd, ServoError, ServoOptions, ServoResult};
-use scopeservo_registration::{Estimate, NotFound};
+use crate::{PoseError, ServoEnd, ServoError, ServoOptions, ServoResult};
+use scopeservo_registration::NotFound;
 use scopeservo_scope::Instrument;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
 /// Interval of looking for a stop while waiting.
 const POLL: Duration = Duration::from_millis(20);
-
-/// What the test goes by.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Criteria<'a> {
-    pub(crate) options: &'a ServoOptions,
-    /// Whether passing means arrival: the target's own objective is active.
-    pub(crate) is_arrival: bool,
-    /// Whether the stage can turn.
-    pub(crate) turns: bool,
-    pub(crate) view_um_per_px: f64,
-    pub(crate) target_um_per_px: f64,
-    /// How arrivals of this stage scatter: the view's distance from its goal, root mean square, um, and its angle, standard deviation, deg. `None`
-    /// where nothing but the tolerance counts.
-    pub(crate) scatter: Option<[f64; 2]>,
-    /// So many frames were as near as this stage can bring the view, and not within the tolerance.
-    pub(crate) nearly: usize,
-}
-
-/// After so many arrivals that were as good as the stage can make them, the next is good enough.
-const NEARLY: usize = 3;
-/// What is known so many times worse than the tolerance asks for is no arrival, whatever the stage can do.
-const KNOWN: f64 = 2.5;
-/// What is within so many standard deviations is as good as it gets.
-const NEARLY_SIGMAS: f64 = 2.0;
-
-impl Criteria<'_> {
-    /// Within `position_px` pixels of the present view and, where the stage can turn, within `angle_deg` times the ratio of view pixel
-    /// to target pixel. With the target's own objective, where passing means arrival, the error must be inside by `sure_sigmas`
-    /// standard deviations; or, where a stage has not come so near in some arrivals, as near as it can.
-    pub(crate) fn passes(&self, error: &PoseError, estimate: &Estimate) -> bool {
-        self.is_within(error, estimate) || self.nearly >= NEARLY && self.is_nearly(error, estimate)
-    }
-
-    /// As near as this stage can bring the view and these images can tell.
-    fn is_nearly(&self, error: &PoseError, estimate: &Estimate) -> bool {
-        let Some([scatter_um, scatter_deg]) = self.scatter.filter(|_| self.is_arrival) else {
-            return false;
-        };
-        let sigma_um = estimate.sigma_px * std::f64::consts::SQRT_2 * self.target_um_per_px;
-        let sigma_deg = estimate.sigma_angle_rad.to_degrees();
-        let (sure, tolerance_um) = (
-            self.options.sure_sigmas,
-            self.options.position_px * self.view_um_per_px,
-        );
-        let known = sure * sigma_um <= KNOWN * tolerance_um
-            && (!self.turns || sure * sigma_deg <= KNOWN * self.options.angle_deg);
-        let nearly = |off: f64, scatter: f64, sigma: f64, tolerance: f64| {
-            off <= (NEARLY_SIGMAS * f64::hypot(scatter, sigma)).max(tolerance)
-        };
-        known
-            && nearly(error.distance_um(), scatter_um, sigma_um, tolerance_um)
-            && (!self.turns
-                || nearly(
-                    error.angle_deg().abs(),
-                    scatter_deg,
-                    sigma_deg,
-                    self.options.angle_deg,
-                ))
-    }
-
-    /// Whether it is not within the tolerance, and as near as it can be.
-    pub(crate) fn only_nearly(&self, error: &PoseError, estimate: &Estimate) -> bool {
-        !self.is_within(error, estimate) && self.is_nearly(error, estimate)
-    }
-
-    /// What kept the view from coming nearer, where that is not surely within the tolerance.
-    fn limit(&self, result: &ServoResult) -> Option<LimitedBy> {
-        if self.nearly < NEARLY {
-            return None;
-        }
-        let tolerances = [
-            self.options.position_px * self.view_um_per_px,
-            self.options.angle_deg,
-        ];
-        let off = [result.error.distance_um(), result.error.angle_deg().abs()];
-        let unsure = [result.sigma_um / std::f64::consts::SQRT_2, result.sigma_deg]
-            .map(|sigma| self.options.sure_sigmas * sigma);
-        let counts = if self.turns { 2 } else { 1 };
-        let within = |k: usize, off: f64| off <= tolerances[k];
-        match (0..counts).all(|k| within(k, off[k])) {
-            true if (0..counts).all(|k| within(k, off[k] + unsure[k])) => None,
-            true => Some(LimitedBy::Measurement),
-            false => Some(LimitedBy::Repeatability),
-        }
-    }
-
-    fn is_within(&self, error: &PoseError, estimate: &Estimate) -> bool {
-        let sigmas = if self.is_arrival {
-            self.options.sure_sigmas
-        } else {
-            0.0
-        };
-        let unsure_um = sigmas * estimate.sigma_px * self.target_um_per_px;
-        let unsure_deg = sigmas * estimate.sigma_angle_rad.to_degrees();
-        let coarseness = (self.view_um_per_px / self.target_um_per_px).max(1.0);
-        let angle_deg = error.angle_deg().abs();
-        error.distance_um() + unsure_um <= self.options.position_px * self.view_um_per_px
-            && (!self.turns || angle_deg + unsure_deg <= self.options.angle_deg * coarseness)
-    }
-
-    fn diverged(&self, error: &PoseError, first: &PoseError) -> bool {
-        let grown = |now: f64, first: f64, least: f64| {
-            now.abs() > least && now.abs() > self.options.divergence_factor * first.abs()
-        };
-        let far = 10.0 * self.view_um_per_px * 1e-6;
-        let distance_m = |e: &PoseError| e.distance_um() * 1e-6;
-        grown(distance_m(error), distance_m(first), far)
-            || self.turns && grown(error.angle_deg(), first.angle_deg(), 0.5)
-    }
-}
 
 /// The error in one frame, how well it is known, and when.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -217,8 +108,11 @@ impl Convergence {
             let result = self.result(Measured { error, ..now });
             Standing::Ended(ServoEnd::Converged(ServoResult {
                 limited_by: criteria.limit(&result),
+                angle_is_left: !criteria.turns,
                 ..result
             }))
+        } else if let Some(end) = criteria.falls_short(&self.result(now)) {
+            Standing::Ended(end)
         } else if criteria.diverged(&now.error, &first) {
             Standing::Ended(ServoEnd::Diverged(self.result(now)))
         } else if self.iteration + 1 >= criteria.options.max_iterations {
@@ -292,6 +186,7 @@ impl Convergence {
             sigma_um: f64::hypot(now.sigma_um, scatter_um(&self.passed)),
             sigma_deg: now.sigma_deg,
             limited_by: None,
+            angle_is_left: false,
         }
     }
 }
@@ -352,25 +247,6 @@ mod tests {
         assert_eq!(scatter_um(&[at(3.0, 4.0, 0.0, 0.0)]), 0.0);
         let two = scatter_um(&[at(0.3, 0.4, 0.0, 0.0), at(0.0, 0.0, 0.0, 0.0)]);
         assert!((two - 0.5 / 2f64.sqrt()).abs() < 1e-12, "{two}");
-    }
-
-    #[test]
-    fn passing_needs_both_limits_and_two_sigmas_where_it_means_arrival() {
-        let options = ServoOptions::default();
-        let mut test = criteria(&options);
-        let estimate = |sigma_px| Estimate {
-            sigma_px,
-            ..Estimate::at_rest()
-        };
-        let inside = at(0.39, 0.0, 0.009, 0.0).error;
-        assert!(test.passes(&inside, &estimate(0.0)));
-        assert!(!test.passes(&inside, &estimate(0.02)), "not for sure");
-        let turned = at(0.1, 0.0, 0.011, 0.0).error;
-        assert!(!test.passes(&turned, &estimate(0.0)));
-        test.turns = false;
-        assert!(test.passes(&turned, &estimate(0.0)));
-        test.is_arrival = false;
-        assert!(test.passes(&inside, &estimate(0.02)), "on the way");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! How a servo loop ends, and what is known then.
 
+use super::missing::Missing;
 use crate::{Contradiction, PoseError};
 use scopeservo_registration::{NotFound, Rival};
 use scopeservo_scope::ObjectiveId;
@@ -26,6 +27,26 @@ pub enum ServoEnd {
         why: Contradiction,
         /// The last error.
         last: ServoResult,
+    },
+    /// The stage cannot go where the view would be back; nothing was moved for it.
+    CannotReach {
+        /// What it lacks.
+        missing: Missing,
+        /// The last error.
+        last: ServoResult,
+    },
+    /// As near as the stage or the images allow, time and again, and not as near as was asked for.
+    OutsideTolerance {
+        /// The last error.
+        last: ServoResult,
+        /// What was asked for.
+        asked_um: Option<f64>,
+        /// What was asked for.
+        asked_deg: Option<f64>,
+        /// How near this stage comes back to a place, two standard deviations.
+        stage_um: f64,
+        /// The same of the angle.
+        stage_deg: f64,
     },
     /// The target is not in the view.
     Lost(NotFound),
@@ -64,7 +85,10 @@ impl ServoEnd {
             | Self::IterationLimit(r)
             | Self::Diverged(r)
             | Self::Drifting { last: r, .. } => Some(r),
-            Self::HandedOver { last, .. } | Self::Contradicted { last, .. } => Some(last),
+            Self::HandedOver { last, .. }
+            | Self::Contradicted { last, .. }
+            | Self::CannotReach { last, .. }
+            | Self::OutsideTolerance { last, .. } => Some(last),
             // What is not known to be the specimen says nothing of its distance.
             Self::Lost(_)
             | Self::Ambiguous { .. }
@@ -79,6 +103,8 @@ impl ServoEnd {
             Self::Converged(_) => "converged",
             Self::HandedOver { .. } => "handed_over",
             Self::Contradicted { .. } => "contradicted",
+            Self::CannotReach { .. } => "cannot_reach",
+            Self::OutsideTolerance { .. } => "outside_tolerance",
             Self::Lost(_) => "lost",
             Self::IterationLimit(_) => "iteration_limit",
             Self::Diverged(_) => "diverged",
@@ -118,4 +144,7 @@ pub struct ServoResult {
     /// After convergence outside the tolerance: what kept the view from coming nearer.
     #[serde(default)]
     pub limited_by: Option<LimitedBy>,
+    /// The stage did not turn: the angle is what is left.
+    #[serde(default)]
+    pub angle_is_left: bool,
 }

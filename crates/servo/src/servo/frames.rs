@@ -1,6 +1,6 @@
 //! What the loop's state takes from a frame: found and moved away from, lost, or to be looked at again.
 
-use super::convergence::Criteria;
+use super::criteria::Criteria;
 use super::sight::{Located, Sight};
 use super::state::Servo;
 use super::watch::{Kept, Promise, Watch};
@@ -19,6 +19,16 @@ impl Servo {
         Self {
             watch: Watch::of(promise),
             ..Self::default()
+        }
+    }
+
+    /// The convergence test.
+    pub(crate) fn criteria<'a>(&self, task: &ServoTask<'a>, scope: &Instrument) -> Criteria<'a> {
+        let test = task.criteria(scope);
+        Criteria {
+            nearly: self.convergence.nearly,
+            turns: test.turns && !self.leaves_angle,
+            ..test
         }
     }
 

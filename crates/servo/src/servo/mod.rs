@@ -6,11 +6,14 @@
 mod belief;
 pub(crate) mod contradiction;
 mod convergence;
+mod criteria;
 pub(crate) mod end;
 mod expected;
 mod frames;
 pub(crate) mod hand_over;
+pub(crate) mod missing;
 pub(crate) mod options;
+mod reach;
 pub(crate) mod run;
 mod sight;
 mod state;
@@ -22,7 +25,7 @@ use crate::one_side::move_from_one_side;
 use crate::vision::grab;
 use crate::{FrameRole, Progress, ServoEnd, ServoError, ServoTask, Sink, event::tell};
 use belief::Belief;
-use convergence::{Criteria, Standing};
+use convergence::Standing;
 use scopeservo_scope::Instrument;
 use sight::{Sight, View};
 
@@ -39,10 +42,7 @@ impl Servo {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<ServoEnd>, ServoError> {
-        let test = Criteria {
-            nearly: self.convergence.nearly,
-            ..task.criteria(scope)
-        };
+        let mut test = self.criteria(task, scope);
         self.convergence.rest(&test, scope)?;
         let present = scope.gate().position()?;
         // Camera.
@@ -70,8 +70,14 @@ impl Servo {
             Belief::LookAgain => return Ok(self.look_again(task, &sight)),
             Belief::Unknown => return self.step_aside(task, scope, sink, &sight),
         };
+        // Can the stage go there at all?
+        if !passes
+            && let Some(end) = self.cannot_reach(task, scope, &mut test, (&sight, &located))?
+        {
+            return Ok(Progress::Done(end));
+        }
         // Below the target's magnification one measurement is enough, where it surely leads into a higher objective's view.
-        if let Some(end) = self.hand_over(task, scope, &sight, &located)? {
+        if let Some(end) = self.hand_over(task, scope, &test, (&sight, &located))? {
             return Ok(Progress::Done(end));
         }
         // Stage: Eq. (5). A frame that passes is confirmed by the next one from the same place.

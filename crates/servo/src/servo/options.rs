@@ -29,6 +29,11 @@ pub struct ServoOptions {
     pub position_px: f64,
     /// ...and the angle at most this, times the ratio of view pixel to target pixel size.
     pub angle_deg: f64,
+    /// What a user asks of an arrival, um: it is claimed only within this for sure. Less than the method asks for counts where nothing nearer
+    /// came in some moves.
+    pub within_um: Option<f64>,
+    /// The same of the angle, degrees. What a stage cannot turn may be left up to this; `None` there while the middle of the target is in view.
+    pub within_deg: Option<f64>,
     /// Frames in a row that must pass.
     pub confirmations: usize,
     /// Seconds between them at the target's own magnification, at least: a specimen that drifts shows it.
@@ -55,6 +60,8 @@ impl Default for ServoOptions {
             max_iterations: 64,
             position_px: 0.8,
             angle_deg: 0.01,
+            within_um: None,
+            within_deg: None,
             confirmations: 2,
             confirmation_s: 0.5,
             max_lost: 3,

@@ -1,6 +1,7 @@
 //! One frame of the loop, understood: where it lies in the target, and the pose error.
 
 use super::convergence::Measured;
+use super::reach::{turned_within, turning};
 use crate::hand_eye::pose_sigma;
 use crate::proof::{FixedPlaces, Station};
 use crate::vision::{centre_px, gray};
@@ -11,7 +12,7 @@ use crate::{
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::Vec2;
 use scopeservo_registration::{Estimate, NotFound, Prior};
-use scopeservo_scope::{Frame, Instrument, StagePose};
+use scopeservo_scope::{AxisRange, Frame, Instrument, StagePose};
 
 /// A frame as it is looked at.
 pub(crate) struct View {
@@ -47,6 +48,8 @@ pub(crate) struct Sight<'a> {
     pub(crate) station: Station<'a>,
     pub(crate) located: Located,
     target_size: [usize; 2],
+    /// Where the rotation may go.
+    turning: Option<AxisRange>,
 }
 
 impl<'a> Sight<'a> {
@@ -93,6 +96,7 @@ impl<'a> Sight<'a> {
             },
             located: Located { estimate, pose },
             target_size,
+            turning: turning(scope),
         })
     }
 
@@ -131,7 +135,8 @@ impl<'a> Sight<'a> {
     /// Where the stage has to go to carry out `velocity` for one iteration: Eq. (5).
     pub(crate) fn goal(&self, velocity: &Velocity) -> StagePose {
         let motion = motion_of(velocity, self.station.calibration);
-        let to = pose_after(self.station.kinematics, &self.station.pose, &motion);
+        let mut to = pose_after(self.station.kinematics, &self.station.pose, &motion);
+        to.theta_rad = turned_within(to.theta_rad, self.turning.as_ref());
         to.request(&self.present)
     }
 

@@ -14,4 +14,7 @@ pub struct Servo {
     pub(super) proof: Proof,
     #[serde(default)]
     pub(super) watch: Watch,
+    /// The stage cannot turn as far as the target is turned, and may leave that.
+    #[serde(default)]
+    pub(super) leaves_angle: bool,
 }

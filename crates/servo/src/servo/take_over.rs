@@ -1,5 +1,6 @@
 //! Below the target's own magnification: one measurement and one move, where that surely brings the target into a higher objective's view.
 
+use super::criteria::Criteria;
 use super::sight::{Located, Sight};
 use super::state::Servo;
 use crate::one_side::move_from_one_side;
@@ -47,19 +48,20 @@ impl Servo {
         &mut self,
         task: &ServoTask<'_>,
         scope: &Instrument,
-        sight: &Sight<'_>,
-        located: &Located,
+        test: &Criteria<'_>,
+        (sight, located): (&Sight<'_>, &Located),
     ) -> Result<Option<ServoEnd>, ServoError> {
-        let turns = task.criteria(scope).turns;
+        let goals = scope.gate().goals()?;
         let found = task.hand_overs.iter().find_map(|over| {
-            let (velocity, lands_m) = over.step(task, &located.pose, turns)?;
-            Some((over, velocity, lands_m))
+            let (velocity, lands_m) = over.step(task, &located.pose, test.turns)?;
+            let goal = sight.goal(&velocity);
+            // At the end of an axis there may be no room to look a little aside.
+            goals.allow(&goal).then_some((over, goal, lands_m))
         });
-        let Some((over, velocity, lands_m)) = found else {
+        let Some((over, goal, lands_m)) = found else {
             return Ok(None);
         };
         let last = self.convergence.result(sight.measured(located, task));
-        let goal = sight.goal(&velocity);
         // As the next objective would have seen it.
         let mut seen = located.pose;
         let offset_m = Mat2::rotation(seen.error.theta_rad) * over.offset_m;

@@ -1,6 +1,6 @@
 //! What a servo loop needs to know.
 
-use super::convergence::Criteria;
+use super::criteria::Criteria;
 use super::hand_over::HandOver;
 use super::watch::Mover;
 use crate::hand_eye::pose_sigma;

@@ -2,7 +2,9 @@
 
 mod in_focus;
 mod picture;
+mod quality;
 mod save;
+mod trials;
 
 use crate::vision::{grab, gray};
 use crate::{Calibration, FrameRole, ServoError, Sink, VisionOptions};
@@ -14,6 +16,7 @@ use std::sync::Arc;
 
 pub use in_focus::InFocus;
 pub use picture::Picture;
+pub use quality::{TargetQuality, Tried, Weakness};
 pub use save::{SaveOptions, SaveTarget};
 
 /// Fewer features than this and a target cannot be told from others.
@@ -42,6 +45,9 @@ pub struct Target {
     /// saved earlier.
     #[serde(default)]
     pub mask: Option<Mask>,
+    /// How surely it is come back to. Targets saved earlier lack it, and those saved without a look at it.
+    #[serde(default)]
+    pub quality: Option<TargetQuality>,
     /// How it was taken. Targets saved earlier lack it.
     #[serde(skip)]
     pub taken: Option<Arc<Taken>>,
@@ -117,6 +123,7 @@ impl Target {
             periods_px: periods(&image),
             moved: None,
             mask: None,
+            quality: None,
             taken: None,
         };
         Ok((target, image, frame))

@@ -1,6 +1,6 @@
 //! Saving a view: only what is seen to move with the stage counts, and what repeats itself is refused.
 
-use super::{MIN_MOVED_FEATURES, MIN_TARGET_FEATURES, Picture, Taken, Target};
+use super::{MIN_MOVED_FEATURES, MIN_TARGET_FEATURES, Picture, Taken, Target, trials::tried};
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress};
@@ -200,6 +200,25 @@ impl SaveTarget {
         Ok(self.options.um_per_px().unwrap_or(nominal))
     }
 
+    /// Tries what was saved; what nobody could come back to is not saved.
+    fn tried(
+        &self,
+        scope: &Instrument,
+        mut target: Target,
+        image: &GrayImage,
+    ) -> Result<Target, ServoError> {
+        let um_per_px = self.um_per_px(scope, &target.objective)?;
+        let objectives = scope.gate().objectives();
+        let vision = &self.options.vision;
+        let quality = tried(&target, image, objectives, um_per_px, vision)?;
+        if quality.is_hopeless() {
+            let quality = Box::new(quality);
+            return Err(ServoError::HopelessTarget { quality });
+        }
+        target.quality = Some(quality);
+        Ok(target)
+    }
+
     fn taken(
         &self,
         scope: &Instrument,
@@ -256,7 +275,7 @@ impl Procedure for SaveTarget {
             let prior = same_objective(0.05);
             self.refuse_repetition(&target, &image, (&second, &seen), &prior, |_| true)?;
             target.taken = Some(Arc::new(self.taken(scope, &objective, frame, stage)?));
-            return Ok(Progress::Done(target));
+            return Ok(Progress::Done(self.tried(scope, target, &image)?));
         }
         let home = PlanarPose::from(&stage);
         let of = (&mut target, &mut image, &frame);
@@ -277,7 +296,8 @@ impl Procedure for SaveTarget {
             }),
             Aside::Seen(seen) => {
                 target.taken = Some(Arc::new(self.taken(scope, &objective, frame, stage)?));
-                Ok(Progress::Done(self.judge(target, &image, &seen)?))
+                let target = self.judge(target, &image, &seen)?;
+                Ok(Progress::Done(self.tried(scope, target, &image)?))
             }
         }
     }

@@ -1,6 +1,6 @@
 //! How a run goes on after a loop, or ends.
 
-use super::super::{MagnificationResult, Outcome, Reason, Verdict, words};
+use super::super::{Left, MagnificationResult, Outcome, Reason, Verdict, words};
 use super::Reposition;
 use crate::{ServoEnd, ServoError, Target};
 use scopeservo_scope::{Instrument, ScopeError};
@@ -29,17 +29,38 @@ impl Reposition {
                 self.bring(next);
                 None
             }
-            None => Some(self.end(end)),
+            None => Some(self.end(end, target)),
         }
     }
 
     /// The answer that the end of the last loop means.
-    fn end(&self, end: &ServoEnd) -> Outcome {
+    fn end(&self, end: &ServoEnd, target: &Target) -> Outcome {
         let at = self.done.last().map_or(0.0, |d| d.magnification);
         let seen_below = self.done.iter().any(|d| d.magnification < at);
-        let (verdict, reason, message) =
-            words::answer_of(end, at, seen_below, self.options.servo.angle_deg);
-        self.outcome(verdict, reason, message)
+        let left = self.left(end, target);
+        let (verdict, reason, message) = words::answer_of(end, at, seen_below, left.as_ref());
+        Outcome {
+            angle_left_deg: left.map(|l| l.angle_deg),
+            in_view: left.map(|l| l.in_view),
+            missing: match end {
+                ServoEnd::CannotReach { missing, .. } => Some(missing.clone()),
+                _ => None,
+            },
+            ..self.outcome(verdict, reason, message)
+        }
+    }
+
+    /// What a stage has left that did not turn.
+    fn left(&self, end: &ServoEnd, target: &Target) -> Option<Left> {
+        let ServoEnd::Converged(result) = end else {
+            return None;
+        };
+        let view = &self.done.last()?.calibration;
+        let um_per_px = self.target_calibration(target)?.um_per_px();
+        let size = [target.features.width, target.features.height];
+        let size_um = size.map(|px| px as f64 * um_per_px);
+        let left = || Left::of(result, size_um, view, self.options.servo.within_deg);
+        result.angle_is_left.then(left)
     }
 
     pub(super) fn outcome(&self, verdict: Verdict, reason: Reason, message: String) -> Outcome {
@@ -51,6 +72,9 @@ impl Reposition {
             estimated_error_um: last.map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
             estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
             limited_by: last.and_then(|r| r.limited_by),
+            angle_left_deg: None,
+            in_view: None,
+            missing: None,
             unique_within_um: self.done.iter().map(view_um).max_by(wider),
             magnifications: self.done.clone(),
         }
@@ -62,7 +86,7 @@ impl Reposition {
         if let ServoError::Scope(ScopeError::ImmersionNotAgreed { .. }) = &error
             && let Some(end @ ServoEnd::Lost(_)) = self.done.last().map(|d| &d.end)
         {
-            let outcome = self.end(end);
+            let outcome = self.end(end, &*self.target()?);
             let message = format!("{}. For a wider view {error}", outcome.message);
             return Ok(Outcome { message, ..outcome });
         }
