@@ -185,6 +185,7 @@ fn nothing_to_save(error: &ServoError, scope: &Instrument, watcher: &mut Watcher
         estimated_error_um: None,
         estimated_error_deg: None,
         limited_by: None,
+        remarks: Vec::new(),
         unique_within_um: None,
         magnifications: Vec::new(),
     };

@@ -107,6 +107,7 @@ fn show(
         "estimated_error_um": outcome.estimated_error_um,
         "estimated_error_deg": outcome.estimated_error_deg,
         "limited_by": outcome.limited_by,
+        "remarks": outcome.remarks,
         "unique_within_um": outcome.unique_within_um,
         "moves": counters.moves,
         "frames": counters.frames,

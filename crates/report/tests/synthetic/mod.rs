@@ -400,6 +400,7 @@ impl Teller {
                 .map(|r| r.error.distance_um().hypot(r.sigma_um)),
             limited_by: None,
             estimated_error_deg: last.as_ref().map(|r| r.error.angle_deg().abs()),
+            remarks: Vec::new(),
             unique_within_um: None,
             magnifications: self.results.clone(),
         };

@@ -11,6 +11,7 @@ mod expected;
 mod frames;
 pub(crate) mod hand_over;
 pub(crate) mod options;
+pub(crate) mod refit;
 pub(crate) mod run;
 mod sight;
 mod state;
@@ -39,6 +40,12 @@ impl Servo {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<ServoEnd>, ServoError> {
+        // As well as moves have shown it to be known.
+        let view_calibration = &*self.watch.believed(task.view_calibration);
+        let task = &ServoTask {
+            view_calibration,
+            ..*task
+        };
         let test = Criteria {
             nearly: self.convergence.nearly,
             ..task.criteria(scope)
@@ -60,8 +67,8 @@ impl Servo {
         let event = sight.event(task, self.convergence.iteration, velocity, passes);
         tell(scope, sink, event);
         // Did the last move do what it was to do?
-        if let Some(end) = self.contradicted(task, scope, &sight) {
-            return Ok(Progress::Done(end));
+        if let Some(progress) = self.contradicted(task, scope, sink, &sight) {
+            return Ok(progress);
         }
         // Is it the specimen, and the only place that looks like this?
         let (located, passes) = match self.believe(task, &test, &sight, passes) {

@@ -3,6 +3,7 @@
 use super::convergence::Convergence;
 use super::expected::Expected;
 use super::watch::Watch;
+use crate::PoseError;
 use crate::proof::Proof;
 use serde::{Deserialize, Serialize};
 
@@ -14,4 +15,7 @@ pub struct Servo {
     pub(super) proof: Proof,
     #[serde(default)]
     pub(super) watch: Watch,
+    /// The error where the target was last seen, before a move that lost it.
+    #[serde(default)]
+    pub(super) last_seen: Option<PoseError>,
 }

@@ -50,6 +50,9 @@ impl Servo {
         sight: &Sight<'_>,
         located: &Located,
     ) -> Result<Option<ServoEnd>, ServoError> {
+        if !self.watch.trusts() {
+            return Ok(None);
+        }
         let turns = task.criteria(scope).turns;
         let found = task.hand_overs.iter().find_map(|over| {
             let (velocity, lands_m) = over.step(task, &located.pose, turns)?;

@@ -1,12 +1,14 @@
 //! The camera as an encoder: what a move was to do, against what the next frame shows of it.
 
+use super::refit::{Refit, Remark};
 use crate::law::error_after;
 use crate::{
     Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity, motion_between,
 };
 use scopeservo_geometry::{Mat2, Vec2};
-use scopeservo_scope::{Axis, Kinematics};
+use scopeservo_scope::{Axis, Kinematics, ObjectiveId};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// What lies within so many standard deviations and a pixel of the view is what was promised; angles within so much, rad.
 const SIGMAS: f64 = 4.0;
@@ -51,6 +53,8 @@ pub(crate) enum Kept {
     Drifted,
     /// Not at all.
     No(Contradiction),
+    /// Nothing has moved so far: images may come late.
+    NotYet,
 }
 
 impl Promise {
@@ -101,7 +105,10 @@ impl Promise {
         let sweep_m = 2.0 * DRIFTED_CENTRE_M * (0.5 * turned_rad).sin().abs();
         // What stands or goes the other way explains all of it; a share of the way is what a drifted calibration makes of it, too.
         let cause = self.cause(&seen.error, mover, unsure_m + LEAVES * way_m);
-        let sure = !matches!(cause, Contradiction::Share(_) | Contradiction::Elsewhere);
+        let sure = !matches!(
+            cause,
+            Contradiction::Share(_) | Contradiction::Turned(_) | Contradiction::Elsewhere
+        );
         if sure && DRIFTED_SHARE * way_m > unsure_m {
             return Kept::No(cause);
         }
@@ -111,6 +118,35 @@ impl Promise {
             return Kept::Drifted;
         }
         Kept::No(cause)
+    }
+
+    /// What the move was to change, how far beside that it ended, and by how much the view goes with a rotation centre that lies elsewhere.
+    fn tells(&self, seen: &PoseError, mover: &Mover<'_>) -> (Vec2, Vec2, Mat2) {
+        let promised = self.error_at(&self.goal, mover);
+        let less = |a: Vec2, b: Vec2| [a[0] - b[0], a[1] - b[1]];
+        let centre = mover.view.rotation_centre_m.unwrap_or_default();
+        // The view's place is a linear function of it.
+        let lever = [0, 1].map(|k| {
+            let mut centre = centre;
+            centre[k] += 1.0;
+            let view = Calibration {
+                rotation_centre_m: Some(centre),
+                ..mover.view.clone()
+            };
+            let elsewhere = self.error_at(
+                &self.goal,
+                &Mover {
+                    view: &view,
+                    ..*mover
+                },
+            );
+            less(elsewhere.t_m, promised.t_m)
+        });
+        (
+            less(promised.t_m, self.from.t_m),
+            less(seen.t_m, promised.t_m),
+            Mat2([[lever[0][0], lever[1][0]], [lever[0][1], lever[1][1]]]),
+        )
     }
 
     /// The simplest of what explains an error to within `leaves_m` of the view.
@@ -144,6 +180,16 @@ impl Promise {
             off_m.max(size_m * off_rad)
         };
         let swapped = Mat2([[0.0, 1.0], [1.0, 0.0]]);
+        let gone_m = [0, 1].map(|k| seen.t_m[k] - self.from.t_m[k]);
+        let turned = direction(gone_m) - direction(way_m);
+        let beside = PoseError {
+            t_m: {
+                let way_m = Mat2::rotation(turned) * way_m;
+                [0, 1].map(|k| self.from.t_m[k] + way_m[k])
+            },
+            ..goal
+        };
+        let (off_m, off_rad) = apart(&beside, seen);
         let [x, y] = by;
         let mut causes = vec![
             (Contradiction::NothingMoved, left([0.0; 2], 0.0)),
@@ -166,6 +212,11 @@ impl Promise {
             (Contradiction::AxisReversed(Axis::Rz), left(by, -turn)),
             (Contradiction::Swapped, left([y, x], turn)),
         ];
+        if turned.sin().abs() > DRIFTED_SHARE {
+            let turned = turned.sin().atan2(turned.cos());
+            let left_m = off_m.max(size_m * off_rad);
+            causes.push((Contradiction::Turned(turned), left_m));
+        }
         let shares = (1..=60).map(|k| 0.05 * f64::from(k));
         causes.extend(shares.map(|s| (Contradiction::Share(s), left([s * x, s * y], s * turn))));
         let best = causes.iter().map(|c| c.1).fold(f64::INFINITY, f64::min);
@@ -183,14 +234,42 @@ fn apart(a: &PoseError, b: &PoseError) -> (f64, f64) {
     (distance, turn.sin().atan2(turn.cos()).abs())
 }
 
+fn direction([x, y]: Vec2) -> f64 {
+    y.atan2(x)
+}
+
+/// How far moves are trusted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Trust {
+    /// As far as the calibration supports them.
+    #[default]
+    Whole,
+    /// A move has lost the target: the stage went back, and goes on in small steps until one does what it is to do.
+    Wary,
+    /// One has.
+    Regained,
+}
+
 /// The last promise, and how those before it were kept.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Watch {
     pub(crate) promise: Option<Promise>,
-    /// Promises in a row that were not kept, and why the first was not.
+    /// Promises in a row that were not kept, and why.
     broken: Option<(u8, Contradiction)>,
-    /// The target was lost by a move: the stage went back, and goes on in small steps until one does what it is to do.
-    wary: Option<bool>,
+    #[serde(default)]
+    trust: Trust,
+    /// Frames since the last move in which nothing had moved yet.
+    #[serde(default)]
+    looks: u8,
+    /// The promise is that of another leg, whose target may only be out of this one's view: who goes back loses what it was about to see.
+    #[serde(default)]
+    handed: bool,
+    #[serde(default)]
+    refit: Refit,
+    /// What was seen of the instrument, and went on.
+    #[serde(default)]
+    remarks: Vec<Remark>,
 }
 
 /// A wary step moves the view by this share of its shorter side, and turns it by what moves it as far about a centre of rotation that is wrong
@@ -200,12 +279,16 @@ const WARY_CENTRE_M: f64 = 1e-3;
 
 /// So many moves in a row may contradict what is seen before nothing moves any more.
 const BROKEN: u8 = 2;
+/// So many more frames are looked at before it is said that nothing moved.
+const LOOKS: u8 = 8;
 
 impl Watch {
-    /// Of a move that was made before.
-    pub(crate) fn of(promise: Option<Promise>) -> Self {
+    /// In another leg. `first`: its objective has not seen the target yet.
+    pub(crate) fn handed_over(self, first: bool) -> Self {
         Self {
-            promise,
+            promise: self.promise,
+            broken: self.broken,
+            handed: first,
             ..Self::default()
         }
     }
@@ -217,22 +300,70 @@ impl Watch {
         mover: &Mover<'_>,
         view_m: f64,
     ) -> Option<Kept> {
-        let kept = self.promise.take()?.kept(seen, mover, view_m);
+        let promise = self.promise.take()?;
+        let kept = promise.kept(seen, mover, view_m);
+        let looks = std::mem::take(&mut self.looks);
         match kept {
-            Kept::Yes => (self.broken, self.wary) = (None, self.wary.map(|_| false)),
-            Kept::Drifted => self.broken = None,
-            Kept::No(why) => {
-                let (before, first) = self.broken.unwrap_or((0, why));
-                // What is said later was seen nearer to, unless it says less: of one axis alone nobody can tell that the other moves.
-                let why = if why.says() < first.says() {
-                    first
-                } else {
-                    why
-                };
-                self.broken = Some((before + 1, why));
+            Kept::No(Contradiction::NothingMoved) if looks < LOOKS => {
+                (self.promise, self.looks) = (Some(promise), looks + 1);
+                return Some(Kept::NotYet);
+            }
+            Kept::No(why) => self.breaks(why),
+            // It moved, and was not shown at once.
+            _ if looks > 0 => self.broken = Some((BROKEN, Contradiction::Late(looks))),
+            _ => {
+                self.mends(&mover.view.objective);
+                let (way_m, off_m, lever) = promise.tells(&seen.error, mover);
+                self.refit.take(way_m, off_m, lever, promise.sigma_m);
+                if kept == Kept::Drifted && !std::mem::replace(&mut self.refit.drifted, true) {
+                    self.remarks
+                        .extend(self.refit.remark(&mover.view.objective));
+                }
             }
         }
         Some(kept)
+    }
+
+    fn breaks(&mut self, why: Contradiction) {
+        let (count, why) = match self.broken {
+            Some((count, first)) => (count + 1, first.and(why)),
+            None => (1, why),
+        };
+        self.broken = Some((count, why));
+    }
+
+    fn mends(&mut self, objective: &ObjectiveId) {
+        if self.trust == Trust::Wary {
+            self.trust = Trust::Regained;
+        }
+        if let Some((_, why)) = self.broken.take() {
+            self.remarks.push(Remark::Contradicted {
+                objective: objective.clone(),
+                why: why.once(),
+            });
+        }
+    }
+
+    /// Takes a scale that is not that of the calibrations.
+    pub(crate) fn scaled(&mut self, objective: &ObjectiveId, factor: f64) {
+        let objective = objective.clone();
+        self.remarks
+            .push(Remark::ScalesDisagree { objective, factor });
+    }
+
+    /// What was seen of the instrument, as it is known now, in the order in which it was seen.
+    pub(crate) fn remarks(&self) -> Vec<Remark> {
+        let now = |remark: &Remark| match remark {
+            Remark::Drifted { objective, .. } => self.refit.remark(objective),
+            _ => None,
+        };
+        let all = self.remarks.iter();
+        all.map(|r| now(r).unwrap_or_else(|| r.clone())).collect()
+    }
+
+    /// A calibration as well as moves have shown it to be known.
+    pub(crate) fn believed<'a>(&self, view: &'a Calibration) -> Cow<'a, Calibration> {
+        self.refit.believed(view)
     }
 
     /// Why the last move did not do what it was to do, where that shows.
@@ -243,16 +374,27 @@ impl Watch {
 
     /// Where to go back to, after a move by which the target was lost; once.
     pub(crate) fn turns_back(&mut self) -> Option<(PlanarPose, PoseError)> {
-        let promise = self.promise.filter(|_| self.wary.is_none())?;
-        (self.promise, self.wary) = (None, Some(true));
-        let (count, why) = self.broken.unwrap_or((0, Contradiction::Elsewhere));
-        self.broken = Some((count + 1, why));
+        let may = self.trust == Trust::Whole && !self.handed;
+        let promise = self.promise.take_if(|_| may)?;
+        self.trust = Trust::Wary;
+        self.breaks(Contradiction::Elsewhere);
         Some((promise.before, promise.from))
+    }
+
+    /// The stage went back, and nothing was seen since: what contradicts the moves.
+    pub(crate) fn not_there_any_more(&self) -> Option<Contradiction> {
+        let back = self.trust == Trust::Wary && self.promise.is_none();
+        back.then(|| self.broken.map_or(Contradiction::Elsewhere, |(_, why)| why))
+    }
+
+    /// Whether the last moves did what they were to do: only then may another objective take over.
+    pub(crate) fn trusts(&self) -> bool {
+        self.trust != Trust::Wary && self.broken.is_none()
     }
 
     /// As much of a velocity as may be tried.
     pub(crate) fn limited(&self, velocity: Velocity, view: &Calibration) -> Velocity {
-        if self.wary != Some(true) {
+        if self.trust != Trust::Wary {
             return velocity;
         }
         let reach_m = WARY * view.shorter_side_m();

@@ -1,9 +1,9 @@
 //! How a run goes on after a loop, or ends.
 
-use super::super::{MagnificationResult, Outcome, Reason, Verdict, words};
-use super::Reposition;
-use crate::{ServoEnd, ServoError, Target};
-use scopeservo_scope::{Instrument, ScopeError};
+use super::super::{Leg, MagnificationResult, Outcome, Reason, Verdict, words};
+use super::{Reposition, State, Work};
+use crate::{ErrorKind, Identify, Identity, Progress, ServoEnd, ServoError, Target};
+use scopeservo_scope::{Instrument, ObjectiveId, ScopeError};
 
 impl Reposition {
     /// The answer when a loop's end is the run's end. A target that was seen and lost again may be seen better by the next objective.
@@ -11,7 +11,7 @@ impl Reposition {
         &mut self,
         scope: &Instrument,
         target: &Target,
-        end: &ServoEnd,
+        (leg, end): (Leg, &ServoEnd),
         seen: bool,
     ) -> Option<Outcome> {
         let so_far = self.so_far(scope, target);
@@ -29,16 +29,79 @@ impl Reposition {
                 self.bring(next);
                 None
             }
+            // Before a view is said not to be there: is it seen with the objective that is said to be in?
+            None if matches!(end, ServoEnd::Lost(_)) => {
+                let identify = Identify::new(leg.objective().clone(), self.options.vision.clone());
+                let work = Work::Identify(Box::new(identify));
+                self.state = State::Under { leg, work };
+                None
+            }
             None => Some(self.end(end)),
         }
+    }
+
+    /// What a look at the objective says to a target that was not seen.
+    pub(super) fn looked_at(
+        &self,
+        told: &ObjectiveId,
+        seen: Result<Progress<Identity>, ServoError>,
+    ) -> Result<Option<Outcome>, ServoError> {
+        let not_found = || self.done.last().map(|d| self.end(&d.end));
+        match seen {
+            Ok(Progress::Continue) => Ok(None),
+            Ok(Progress::Done(identity)) if !identity.as_told => Err(ServoError::WrongObjective {
+                told: told.clone(),
+                looks_like: identity.looks_like,
+                um_per_px: identity.um_per_px,
+            }),
+            Err(error @ ServoError::PictureStays { .. }) => Err(error),
+            Err(error) if matches!(error.kind(), ErrorKind::Interruption | ErrorKind::Fault) => {
+                Err(error)
+            }
+            // It is, or that could not be seen either.
+            Ok(Progress::Done(_)) | Err(_) => Ok(not_found()),
+        }
+    }
+
+    /// What contradicts the stage's moves ends where the run began, on axes that were seen to obey; else the stage stands still.
+    pub(super) fn go_back(&self, scope: &Instrument, end: &ServoEnd) -> Result<(), ServoError> {
+        match end {
+            ServoEnd::Contradicted { why, .. } if !why.leaves_standing() => {
+                self.to_the_start(scope)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The same where the camera shows nothing any more, and the stage says that it obeys.
+    pub(super) fn withdraw(
+        &self,
+        scope: &Instrument,
+        error: &ServoError,
+    ) -> Result<(), ServoError> {
+        match error {
+            ServoError::Scope(ScopeError::Frozen { .. }) => self.to_the_start(scope),
+            _ => Ok(()),
+        }
+    }
+
+    fn to_the_start(&self, scope: &Instrument) -> Result<(), ServoError> {
+        if let Some(began) = self.began {
+            let present = scope.gate().position()?;
+            scope.move_to(&began.request(&present))?;
+        }
+        Ok(())
     }
 
     /// The answer that the end of the last loop means.
     fn end(&self, end: &ServoEnd) -> Outcome {
         let at = self.done.last().map_or(0.0, |d| d.magnification);
         let seen_below = self.done.iter().any(|d| d.magnification < at);
-        let (verdict, reason, message) =
+        let (verdict, reason, mut message) =
             words::answer_of(end, at, seen_below, self.options.servo.angle_deg);
+        if !matches!(end, ServoEnd::Contradicted { .. }) {
+            message.push_str(&words::remarks(&self.remarks));
+        }
         self.outcome(verdict, reason, message)
     }
 
@@ -51,6 +114,7 @@ impl Reposition {
             estimated_error_um: last.map(|r| f64::hypot(r.error.distance_um(), r.sigma_um)),
             estimated_error_deg: last.map(|r| r.error.angle_deg().abs()),
             limited_by: last.and_then(|r| r.limited_by),
+            remarks: self.remarks.clone(),
             unique_within_um: self.done.iter().map(view_um).max_by(wider),
             magnifications: self.done.clone(),
         }
