@@ -117,7 +117,7 @@ pub enum StageFault {
     ),
     /// Images are shown so many grabs late, with new time stamps.
     StaleFrames(
-        /// How many; 0 when it is mended.
+        /// How many, up to 12; 0 when it is mended.
         usize,
     ),
     /// The camera gives no image any more, or does again.

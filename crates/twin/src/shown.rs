@@ -3,7 +3,10 @@
 use scopeservo_scope::{Frame, Samples};
 use std::collections::VecDeque;
 
-/// The images that are not shown yet, and what is wrong.
+/// Images are late by so many grabs at the most.
+const MOST: usize = 12;
+
+/// The images of before, and what is wrong.
 #[derive(Debug)]
 pub(crate) struct Shown {
     /// It gives none at all.
@@ -12,7 +15,7 @@ pub(crate) struct Shown {
     /// By how many grabs images are late.
     late: usize,
     binned: usize,
-    /// The one that was shown last, and those after it.
+    /// The last ones that were taken.
     kept: VecDeque<Samples>,
 }
 
@@ -34,7 +37,7 @@ impl Shown {
     }
 
     pub(crate) fn lag(&mut self, grabs: usize) {
-        self.late = grabs;
+        self.late = grabs.min(MOST);
     }
 
     pub(crate) fn bin(&mut self, count: usize) {
@@ -45,11 +48,12 @@ impl Shown {
     pub(crate) fn show(&mut self, taken: Frame) -> Frame {
         if !self.frozen || self.kept.is_empty() {
             self.kept.push_back(taken.samples.clone());
-            while self.kept.len() > self.late + 1 {
+            if self.kept.len() > MOST {
                 self.kept.pop_front();
             }
         }
-        let samples = match self.kept.front() {
+        let there = self.kept.len().saturating_sub(1 + self.late);
+        let samples = match self.kept.get(there) {
             Some(shown) => shown.clone(),
             None => taken.samples.clone(),
         };

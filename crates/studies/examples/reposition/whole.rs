@@ -4,11 +4,13 @@ use crate::scene::{Bench, Known, Scene, of};
 use scopeservo_scope::{Frame, ObjectiveId};
 use scopeservo_servo::{
     Bring, Event, FocusOptions, FrameRole, Law, Phase, Reposition, RepositionOptions, SaveOptions,
-    SaveTarget, Sink, Stamped, Verdict, VisionOptions, run as steps,
+    SaveTarget, Sink, Stamped, Target, Verdict, VisionOptions, run as steps,
 };
 use scopeservo_studies::rounds::Outcome;
 use scopeservo_twin::Truth;
+use scopeservo_twin::specimen::Specimen;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// What one run came to.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -89,7 +91,7 @@ impl Sink for Watch {
     }
 }
 
-fn word(value: &impl Serialize) -> Outcome<String> {
+pub(crate) fn word(value: &impl Serialize) -> Outcome<String> {
     Ok(serde_json::to_value(value)?
         .as_str()
         .unwrap_or_default()
@@ -97,7 +99,7 @@ fn word(value: &impl Serialize) -> Outcome<String> {
 }
 
 /// How far two views are apart, um and deg.
-fn apart(a: &Truth, b: &Truth) -> (f64, f64) {
+pub(crate) fn apart(a: &Truth, b: &Truth) -> (f64, f64) {
     let um = f64::hypot(
         a.centre_um[0] - b.centre_um[0],
         a.centre_um[1] - b.centre_um[1],
@@ -106,27 +108,18 @@ fn apart(a: &Truth, b: &Truth) -> (f64, f64) {
     (um, turn.abs())
 }
 
-/// Saves, puts the slide back elsewhere, and comes back.
-pub(crate) fn run(
-    scene: &Scene,
-    index: u64,
-    known: &[Known],
-    law: Law,
-    trace: bool,
-) -> Outcome<Record> {
-    let (name, specimen) = scene.specimen()?;
+/// A view was saved, and the slide was put back elsewhere.
+pub(crate) struct Start {
+    pub(crate) bench: Bench,
+    pub(crate) target: Target,
+    /// Where the target truly is.
+    pub(crate) aim: Truth,
+}
+
+/// Saves, and puts the slide back elsewhere. The inner result has the reason why nothing was saved.
+pub(crate) fn begin(scene: &Scene, specimen: Arc<dyn Specimen>) -> Outcome<Result<Start, String>> {
     let bench = Bench::new((scene.kind, scene.seed), scene.noise, specimen)?;
     let mut watch = Watch::default();
-    let mut record = Record {
-        index,
-        stage: format!("{:?}", scene.kind),
-        specimen: name,
-        begins_with: scene.begins_with.into(),
-        start_um: f64::hypot(scene.start_um[0], scene.start_um[1]),
-        turn_deg: scene.turn_deg,
-        noise: scene.noise,
-        ..Record::default()
-    };
     let bring = |id: &str, watch: &mut Watch| {
         let id = ObjectiveId(id.into());
         let focus = Some(FocusOptions::default());
@@ -140,12 +133,8 @@ pub(crate) fn run(
     });
     let target = match saved {
         Ok(target) => target,
-        Err(refusal) => {
-            (record.verdict, record.message) = ("refused_at_saving".into(), refusal.to_string());
-            return Ok(record);
-        }
+        Err(refusal) => return Ok(Err(refusal.to_string())),
     };
-    record.features = target.features.len();
     let aim = watch.target.and_then(|s| bench.twin.truth(s));
     let aim = aim.ok_or("the twin forgot the target")?;
     if scene.begins_with != "40x" {
@@ -157,7 +146,37 @@ pub(crate) fn run(
     bench
         .twin
         .remount(scene.target_um, shift_um, scene.turn_deg, false);
-    watch = Watch {
+    Ok(Ok(Start { bench, target, aim }))
+}
+
+/// Saves, puts the slide back elsewhere, and comes back.
+pub(crate) fn run(
+    scene: &Scene,
+    index: u64,
+    known: &[Known],
+    law: Law,
+    trace: bool,
+) -> Outcome<Record> {
+    let (name, specimen) = scene.specimen()?;
+    let mut record = Record {
+        index,
+        stage: format!("{:?}", scene.kind),
+        specimen: name,
+        begins_with: scene.begins_with.into(),
+        start_um: f64::hypot(scene.start_um[0], scene.start_um[1]),
+        turn_deg: scene.turn_deg,
+        noise: scene.noise,
+        ..Record::default()
+    };
+    let Start { bench, target, aim } = match begin(scene, specimen)? {
+        Ok(start) => start,
+        Err(refusal) => {
+            (record.verdict, record.message) = ("refused_at_saving".into(), refusal);
+            return Ok(record);
+        }
+    };
+    record.features = target.features.len();
+    let mut watch = Watch {
         trace,
         ..Watch::default()
     };
