@@ -280,7 +280,7 @@ fn a_calibration_that_drifted_is_told_with_what_is_off_and_the_run_goes_on() {
     let smaller = changed(&good, |m| m * 1.06);
     let (outcome, _, _) = come_back_turned(&smaller, 0.0, |_| {});
     let (scale, _) = drifted(&outcome);
-    assert!((scale + 0.057).abs() < 0.015, "{scale}");
+    assert!((scale + 0.057).abs() < 0.02, "{scale}");
     assert!(outcome.message.contains("drifted"), "{}", outcome.message);
     let turned = |m| Mat2::rotation(f64::to_radians(4.1)) * m;
     let (outcome, _, _) = come_back_turned(&changed(&good, turned), 0.0, |_| {});

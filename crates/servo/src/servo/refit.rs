@@ -70,6 +70,12 @@ impl Refit {
                 CENTRE_M * lever.0[1][1],
             ],
         ];
+        // What is off the calibration as it is believed, and how far that is off the one that is kept.
+        let known = self.applied();
+        let off_m = [0, 1].map(|k| {
+            let applied: f64 = (0..4).map(|i| by[k][i] * known[i]).sum();
+            off_m[k] + applied
+        });
         let weight = sigma_m.max(1e-9).powi(-2);
         for (row, off) in by.iter().zip(off_m) {
             for i in 0..4 {
@@ -98,6 +104,15 @@ impl Refit {
         })
     }
 
+    /// As much of it as a calibration is believed to be off, in units of what is to be expected. A scale is that of the target.
+    fn applied(&self) -> [f64; 4] {
+        if !self.drifted {
+            return [0.0; 4];
+        }
+        let [_, angle, x, y] = self.estimate().map(|k| k.value);
+        [0.0, angle / ANGLE_RAD, x / CENTRE_M, y / CENTRE_M]
+    }
+
     /// What there is to tell.
     pub(crate) fn remark(&self, objective: &ObjectiveId) -> Option<Remark> {
         let [scale, angle, x, y] = self.estimate();
@@ -117,20 +132,26 @@ impl Refit {
         })
     }
 
-    /// A calibration as well as it is known now: what is off it and what is not known of that widen its covariance.
+    /// A calibration as it is known now: turned and with the centre that the moves have shown, and no better known than by them.
     pub(crate) fn believed<'a>(&self, view: &'a Calibration) -> Cow<'a, Calibration> {
         if !self.drifted {
             return Cow::Borrowed(view);
         }
-        let [scale, angle, x, y] = self
-            .estimate()
-            .map(|k| k.value * k.value + k.sigma * k.sigma);
-        let map = (scale + angle) * (1e-6 * view.um_per_px()).powi(2);
+        let [scale, angle, x, y] = self.estimate();
+        let map = scale.value.powi(2) + scale.sigma.powi(2) + angle.sigma.powi(2);
+        let map = map * (1e-6 * view.um_per_px()).powi(2);
         let mut covariance = view.covariance.unwrap_or_default();
-        for (k, more) in [map, map, map, map, x, y].into_iter().enumerate() {
+        let more = [map, map, map, map, x.sigma.powi(2), y.sigma.powi(2)];
+        for (k, more) in more.into_iter().enumerate() {
             covariance[k][k] += more;
         }
+        // The view goes in a direction turned by the angle: the camera's axes lie that much the other way.
+        let camera = view.stage_from_camera();
+        let turned = camera * Mat2::rotation(-angle.value) * camera.transpose();
+        let centre = view.rotation_centre_m;
         Cow::Owned(Calibration {
+            stage_from_pixel: turned * view.stage_from_pixel,
+            rotation_centre_m: centre.map(|[a, b]| [a + x.value, b + y.value]),
             covariance: Some(covariance),
             scatter: Some(view.scatter.unwrap_or_default()),
             ..view.clone()
@@ -175,5 +196,64 @@ mod tests {
         let ([scale, _], [x, y]) = told(&mut refit);
         assert!((x - 2.0).abs() < 0.05 && (y + 1.0).abs() < 0.05, "{x} {y}");
         assert!(scale.abs() < 0.03, "{scale}");
+    }
+
+    /// A calibration that is off is believed to be the true one, and what it then promises is kept.
+    #[test]
+    fn what_is_believed_is_what_the_moves_have_shown() {
+        let truth = Calibration {
+            schema: crate::CALIBRATION_SCHEMA,
+            objective: ObjectiveId("10x".into()),
+            image_size_px: [640, 480],
+            stage_from_pixel: Mat2([[0.0, 2e-6], [2e-6, 0.0]]),
+            rotation_centre_m: Some([3e-3, -1e-3]),
+            covariance: Some([[0.0; 6]; 6]),
+            backlash: None,
+            scatter: Some([0.0; 3]),
+        };
+        let kept = Calibration {
+            stage_from_pixel: Mat2::rotation(0.1) * truth.stage_from_pixel,
+            rotation_centre_m: Some([6e-3, -4e-3]),
+            ..truth.clone()
+        };
+        let motion = |way: Vec2, turn: f64| crate::Motion2 {
+            alpha_rad: turn,
+            d_m: way,
+        };
+        let from = crate::PoseError {
+            t_m: [2e-4, 1e-4],
+            theta_rad: 0.3,
+        };
+        let goes = |view: &Calibration, by: &crate::Motion2| {
+            let after = crate::law::error_after(&from, by, view);
+            [0, 1].map(|k| after.t_m[k] - from.t_m[k])
+        };
+        let less = |a: Vec2, b: Vec2| [a[0] - b[0], a[1] - b[1]];
+        let mut refit = Refit::default();
+        for by in [
+            motion([7e-5, 4e-5], 0.0),
+            motion([2e-5, 1e-5], 0.01),
+            motion([-1e-4, 3e-5], -0.2),
+        ] {
+            let view = refit.believed(&kept).into_owned();
+            let way = goes(&view, &by);
+            let lever = [0, 1].map(|k| {
+                let mut there = view.clone();
+                let mut centre = there.rotation_centre_m.unwrap();
+                centre[k] += 1.0;
+                there.rotation_centre_m = Some(centre);
+                less(goes(&there, &by), way)
+            });
+            let lever = Mat2([[lever[0][0], lever[1][0]], [lever[0][1], lever[1][1]]]);
+            refit.take(way, less(goes(&truth, &by), way), lever, 2e-7);
+            refit.drifted = true;
+        }
+        let believed = refit.believed(&kept);
+        let by = motion([-2e-4, 1e-4], 0.8);
+        let off = less(goes(&truth, &by), goes(&believed, &by));
+        let before = less(goes(&truth, &by), goes(&kept, &by));
+        let size = |[x, y]: Vec2| x.hypot(y);
+        assert!(size(before) > 2e-3, "{before:?}");
+        assert!(size(off) < 0.02 * size(before), "{off:?} of {before:?}");
     }
 }

@@ -37,8 +37,9 @@ pub(crate) struct Promise {
     /// Where the stage stood, and where it was sent.
     before: PlanarPose,
     goal: PlanarPose,
-    /// The error before.
+    /// The error before, and after it.
     from: PoseError,
+    to: PoseError,
     /// Standard deviations of the error after it, m for each coordinate, and rad.
     sigma_m: f64,
     sigma_rad: f64,
@@ -75,10 +76,12 @@ impl Promise {
         let arrival_sq = x * x + y * y + (lever_m * turn).powi(2) + play_m * play_m;
         let known_m = mover.view.move_sigma_m(way_m, turned_rad).unwrap_or(0.0);
         let [a, b, angle] = seen.sigma();
+        let motion = motion_between(mover.kinematics, &before, &goal);
         Self {
             before,
             goal,
             from,
+            to: error_after(&from, &motion, mover.view),
             sigma_m: (arrival_sq + known_m * known_m + a * a + b * b + change_m * change_m).sqrt(),
             sigma_rad: f64::hypot(std::f64::consts::SQRT_2 * turn, angle),
         }
@@ -92,7 +95,7 @@ impl Promise {
 
     /// What the next frame says of it. `view_m`: size of its pixels.
     pub(crate) fn kept(&self, seen: &PoseEstimate, mover: &Mover<'_>, view_m: f64) -> Kept {
-        let promised = self.error_at(&self.goal, mover);
+        let promised = self.to;
         let [a, b, angle] = seen.sigma();
         let unsure_m = SIGMAS * (self.sigma_m.powi(2) + a * a + b * b).sqrt() + view_m;
         let unsure_rad = SIGMAS * f64::hypot(self.sigma_rad, angle) + SLACK_RAD;
@@ -245,9 +248,11 @@ enum Trust {
     /// As far as the calibration supports them.
     #[default]
     Whole,
-    /// A move has lost the target: the stage went back, and goes on in small steps until one does what it is to do.
-    Wary,
-    /// One has.
+    /// A move has lost the target, and the stage went back. The next one is a small step of x and y, which shows them alone.
+    Shift,
+    /// They do what they are to do: the next one turns a little, which shows the rotation centre.
+    Turn,
+    /// That is known as well.
     Regained,
 }
 
@@ -262,9 +267,12 @@ pub(crate) struct Watch {
     /// Frames since the last move in which nothing had moved yet.
     #[serde(default)]
     looks: u8,
-    /// The promise is that of another leg, whose target may only be out of this one's view: who goes back loses what it was about to see.
+    /// The promise is that of another leg, and says nothing of this one's calibration.
     #[serde(default)]
     handed: bool,
+    /// The target may only be out of this leg's view: who goes back loses what the next one is about to see.
+    #[serde(default)]
+    stays: bool,
     #[serde(default)]
     refit: Refit,
     /// What was seen of the instrument, and went on.
@@ -272,10 +280,9 @@ pub(crate) struct Watch {
     remarks: Vec<Remark>,
 }
 
-/// A wary step moves the view by this share of its shorter side, and turns it by what moves it as far about a centre of rotation that is wrong
-/// by so much, m.
-const WARY: f64 = 0.1;
-const WARY_CENTRE_M: f64 = 1e-3;
+/// A small step moves the view by this share of its shorter side: x and y of the stage by these shares of it, which are not the same.
+const SMALL: f64 = 0.1;
+const BOTH: [f64; 2] = [0.86, 0.51];
 
 /// So many moves in a row may contradict what is seen before nothing moves any more.
 const BROKEN: u8 = 2;
@@ -288,7 +295,8 @@ impl Watch {
         Self {
             promise: self.promise,
             broken: self.broken,
-            handed: first,
+            handed: self.promise.is_some(),
+            stays: first,
             ..Self::default()
         }
     }
@@ -303,9 +311,10 @@ impl Watch {
         let promise = self.promise.take()?;
         let kept = promise.kept(seen, mover, view_m);
         let looks = std::mem::take(&mut self.looks);
+        let handed = std::mem::take(&mut self.handed);
         match kept {
             Kept::No(Contradiction::NothingMoved) if looks < LOOKS => {
-                (self.promise, self.looks) = (Some(promise), looks + 1);
+                (self.promise, self.looks, self.handed) = (Some(promise), looks + 1, handed);
                 return Some(Kept::NotYet);
             }
             Kept::No(why) => self.breaks(why),
@@ -313,8 +322,10 @@ impl Watch {
             _ if looks > 0 => self.broken = Some((BROKEN, Contradiction::Late(looks))),
             _ => {
                 self.mends(&mover.view.objective);
-                let (way_m, off_m, lever) = promise.tells(&seen.error, mover);
-                self.refit.take(way_m, off_m, lever, promise.sigma_m);
+                if !handed {
+                    let (way_m, off_m, lever) = promise.tells(&seen.error, mover);
+                    self.refit.take(way_m, off_m, lever, promise.sigma_m);
+                }
                 if kept == Kept::Drifted && !std::mem::replace(&mut self.refit.drifted, true) {
                     self.remarks
                         .extend(self.refit.remark(&mover.view.objective));
@@ -333,9 +344,11 @@ impl Watch {
     }
 
     fn mends(&mut self, objective: &ObjectiveId) {
-        if self.trust == Trust::Wary {
-            self.trust = Trust::Regained;
-        }
+        self.trust = match self.trust {
+            Trust::Shift => Trust::Turn,
+            Trust::Turn => Trust::Regained,
+            trust => trust,
+        };
         if let Some((_, why)) = self.broken.take() {
             self.remarks.push(Remark::Contradicted {
                 objective: objective.clone(),
@@ -374,36 +387,47 @@ impl Watch {
 
     /// Where to go back to, after a move by which the target was lost; once.
     pub(crate) fn turns_back(&mut self) -> Option<(PlanarPose, PoseError)> {
-        let may = self.trust == Trust::Whole && !self.handed;
+        let may = self.trust == Trust::Whole && !self.stays;
         let promise = self.promise.take_if(|_| may)?;
-        self.trust = Trust::Wary;
+        (self.trust, self.handed) = (Trust::Shift, false);
         self.breaks(Contradiction::Elsewhere);
         Some((promise.before, promise.from))
     }
 
-    /// The stage went back, and nothing was seen since: what contradicts the moves.
+    /// The stage went back, and the target is not seen any more, there or after a small step: what contradicts the moves.
     pub(crate) fn not_there_any_more(&self) -> Option<Contradiction> {
-        let back = self.trust == Trust::Wary && self.promise.is_none();
-        back.then(|| self.broken.map_or(Contradiction::Elsewhere, |(_, why)| why))
+        self.is_wary()
+            .then(|| self.broken.map_or(Contradiction::Elsewhere, |(_, why)| why))
     }
 
     /// Whether the last moves did what they were to do: only then may another objective take over.
     pub(crate) fn trusts(&self) -> bool {
-        self.trust != Trust::Wary && self.broken.is_none()
+        !self.is_wary() && self.broken.is_none()
+    }
+
+    fn is_wary(&self) -> bool {
+        matches!(self.trust, Trust::Shift | Trust::Turn)
     }
 
     /// As much of a velocity as may be tried.
     pub(crate) fn limited(&self, velocity: Velocity, view: &Calibration) -> Velocity {
-        if self.trust != Trust::Wary {
-            return velocity;
-        }
-        let reach_m = WARY * view.shorter_side_m();
-        let [x, y] = velocity.t_m;
-        let way_m = f64::hypot(x, y).max(WARY_CENTRE_M * velocity.theta_rad.abs());
-        let share = (reach_m / way_m).min(1.0);
-        Velocity {
-            t_m: velocity.t_m.map(|v| share * v),
-            theta_rad: share * velocity.theta_rad,
+        let reach_m = SMALL * view.shorter_side_m();
+        let theta_rad = velocity.theta_rad;
+        match self.trust {
+            Trust::Whole | Trust::Regained => velocity,
+            Trust::Shift => {
+                let camera = view.stage_from_camera();
+                let way = camera * velocity.t_m;
+                let small = [0, 1].map(|k| way[k].signum() * BOTH[k] * reach_m);
+                Velocity {
+                    t_m: camera.transpose() * small,
+                    theta_rad: 0.0,
+                }
+            }
+            Trust::Turn => Velocity {
+                theta_rad: theta_rad.signum() * theta_rad.abs().min(reach_m / DRIFTED_CENTRE_M),
+                ..velocity
+            },
         }
     }
 

@@ -2,13 +2,14 @@
 //!
 //! `cargo run --release -p scopeservo-studies --example reposition -- --count 200`
 //!
-//! `... -- faults --count 20` breaks one thing in each run.
+//! `... -- faults --count 20` breaks one thing in each run; `... -- disturbance --count 20` disturbs the view.
 //!
 //! Instruments are calibrated once, focus is found anew, and every run is kept as a line of its own: a study that was broken off goes on.
 //! `SCOPESERVO_SPECIMENS` gives real slides; without it the tissue is procedural. Exit code 1 when an answer was wrong.
 
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
+mod disturbance;
 mod faults;
 mod scene;
 mod table;
@@ -51,6 +52,15 @@ enum Study {
         #[arg(long, default_value = "")]
         named: String,
     },
+    /// The view is disturbed, in one way or in two, after it was saved: is it found, and how well?
+    Disturbance {
+        /// Two ways at a time.
+        #[arg(long)]
+        pairs: bool,
+        /// Only those whose names have this in them.
+        #[arg(long, default_value = "")]
+        named: String,
+    },
 }
 
 fn law(text: &str) -> Result<Law, String> {
@@ -61,14 +71,20 @@ fn main() -> Outcome<()> {
     let args = Args::parse();
     fs::create_dir_all(&args.out)?;
     let known = scene::calibrations(&args.out)?;
-    if let Some(Study::Faults { named }) = &args.study {
+    if let Some(study) = &args.study {
         let many = faults::Many {
             count: args.count,
             only: args.only,
             threads: threads(args.threads)?,
             out: &args.out,
         };
-        if faults::study(&many, named, &known)? > 0 {
+        let wrong = match study {
+            Study::Faults { named } => faults::study(&many, named, &known)?,
+            Study::Disturbance { pairs, named } => {
+                disturbance::study(&many, (*pairs, named), &known)?
+            }
+        };
+        if wrong > 0 {
             std::process::exit(1);
         }
         return Ok(());

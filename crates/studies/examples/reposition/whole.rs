@@ -8,9 +8,7 @@ use scopeservo_servo::{
 };
 use scopeservo_studies::rounds::Outcome;
 use scopeservo_twin::Truth;
-use scopeservo_twin::specimen::Specimen;
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
 
 /// What one run came to.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -117,8 +115,7 @@ pub(crate) struct Start {
 }
 
 /// Saves, and puts the slide back elsewhere. The inner result has the reason why nothing was saved.
-pub(crate) fn begin(scene: &Scene, specimen: Arc<dyn Specimen>) -> Outcome<Result<Start, String>> {
-    let bench = Bench::new((scene.kind, scene.seed), scene.noise, specimen)?;
+pub(crate) fn begin(scene: &Scene, bench: Bench) -> Outcome<Result<Start, String>> {
     let mut watch = Watch::default();
     let bring = |id: &str, watch: &mut Watch| {
         let id = ObjectiveId(id.into());
@@ -127,7 +124,7 @@ pub(crate) fn begin(scene: &Scene, specimen: Arc<dyn Specimen>) -> Outcome<Resul
         steps(&mut bring, &bench.scope, watch)
     };
     bench.twin.centre_specimen(scene.target_um, 0.0);
-    let saved = bring("40x", &mut watch).and_then(|_| {
+    let saved = bring(scene.saved_with, &mut watch).and_then(|_| {
         let mut save = SaveTarget::new(SaveOptions::default());
         steps(&mut save, &bench.scope, &mut watch)
     });
@@ -137,7 +134,7 @@ pub(crate) fn begin(scene: &Scene, specimen: Arc<dyn Specimen>) -> Outcome<Resul
     };
     let aim = watch.target.and_then(|s| bench.twin.truth(s));
     let aim = aim.ok_or("the twin forgot the target")?;
-    if scene.begins_with != "40x" {
+    if scene.begins_with != scene.saved_with {
         bring(scene.begins_with, &mut watch)?;
     }
     let [x, y] = scene.start_um;
@@ -158,6 +155,7 @@ pub(crate) fn run(
     trace: bool,
 ) -> Outcome<Record> {
     let (name, specimen) = scene.specimen()?;
+    let bench = Bench::new((scene.kind, scene.seed), scene.noise, specimen)?;
     let mut record = Record {
         index,
         stage: format!("{:?}", scene.kind),
@@ -168,7 +166,7 @@ pub(crate) fn run(
         noise: scene.noise,
         ..Record::default()
     };
-    let Start { bench, target, aim } = match begin(scene, specimen)? {
+    let Start { bench, target, aim } = match begin(scene, bench)? {
         Ok(start) => start,
         Err(refusal) => {
             (record.verdict, record.message) = ("refused_at_saving".into(), refusal);

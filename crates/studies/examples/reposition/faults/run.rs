@@ -1,7 +1,7 @@
 //! One run, and what it said.
 
 use super::kinds::{Ends, Kind, What, When};
-use crate::scene::{Known, draw, of};
+use crate::scene::{Bench, Known, draw, of};
 use crate::whole::{Start, apart, begin, word};
 use scopeservo_geometry::SplitMix64;
 use scopeservo_scope::{Axis, AxisRange, CancelToken, Frame, Instrument, Limits, Rules, StagePose};
@@ -217,7 +217,8 @@ pub(crate) fn run(
         specimen,
         ..Record::default()
     };
-    let start = match begin(&scene, slide)? {
+    let bench = Bench::new((scene.kind, scene.seed), scene.noise, slide)?;
+    let start = match begin(&scene, bench)? {
         Ok(start) => start,
         Err(refusal) => {
             (record.verdict, record.message) = ("refused_at_saving".into(), refusal);
