@@ -134,11 +134,15 @@ fn remark(remark: &Remark) -> String {
                 );
             }
             format!(
-                "The calibration drifted: by the moves with {objective}, {}, or the stage goes wrong by as much. Run `check`, or `calibrate` \
-                 again",
+                "The calibration drifted: by the moves with {objective}, {}, or the stage goes wrong by as much, or something was moved. \
+                 Run `check`, or `calibrate` again",
                 parts.join(", ")
             )
         }
+        Remark::Beside { objective, um } => format!(
+            "When {objective} came in the view lay {um:.0} um beside where it was to be: either the slide or the stage was moved meanwhile, or \
+             lost steps, or the calibration has drifted, which `check` tells"
+        ),
         Remark::ScalesDisagree { objective, factor } => format!(
             "The calibration drifted: beside the target's objective the scale of {objective} is {:+.1} % off. Run `check` for both",
             100.0 * (factor - 1.0)

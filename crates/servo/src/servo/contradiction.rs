@@ -56,6 +56,7 @@ impl Contradiction {
             (Self::Turned(_), Self::Share(_)) | (Self::Share(_), Self::Turned(_)) => {
                 Self::Elsewhere
             }
+            (Self::Elsewhere, Self::Turned(_) | Self::Share(_)) => Self::Elsewhere,
             _ if later.says() < self.says() => self,
             _ => later,
         }
@@ -82,6 +83,7 @@ mod tests {
         assert_eq!(Turned(3.1).and(Turned(-3.1)), Turned(-3.1));
         assert_eq!(Share(0.5).and(Share(0.9)), Elsewhere);
         assert_eq!(Share(0.5).and(Turned(0.9)), Elsewhere);
+        assert_eq!(Elsewhere.and(Share(1.8)), Elsewhere);
         assert_eq!(
             NothingMoved.and(AxisStands(Axis::X)),
             AxisStands(Axis::X),

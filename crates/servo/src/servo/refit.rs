@@ -26,6 +26,13 @@ pub enum Remark {
         /// The rotation centre lies so far from where the calibration says, mm in stage axes.
         centre_mm: [Known; 2],
     },
+    /// The view lay beside where a move and a change of objective were to bring it, by no more than a calibration that has drifted does.
+    Beside {
+        /// The objective that came in.
+        objective: ObjectiveId,
+        /// How far, um.
+        um: f64,
+    },
     /// Beside the target's, this objective's scale is so many times what the calibrations say.
     ScalesDisagree {
         /// The objective that was in.

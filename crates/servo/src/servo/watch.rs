@@ -260,8 +260,8 @@ enum Trust {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Watch {
     pub(crate) promise: Option<Promise>,
-    /// Promises in a row that were not kept, and why.
-    broken: Option<(u8, Contradiction)>,
+    /// Promises in a row that were not kept, and why, where something was seen of it.
+    broken: Option<(u8, Option<Contradiction>)>,
     #[serde(default)]
     trust: Trust,
     /// Frames since the last move in which nothing had moved yet.
@@ -317,16 +317,23 @@ impl Watch {
                 (self.promise, self.looks, self.handed) = (Some(promise), looks + 1, handed);
                 return Some(Kept::NotYet);
             }
-            Kept::No(why) => self.breaks(why),
+            Kept::No(why) => self.breaks(Some(why)),
             // It moved, and was not shown at once.
-            _ if looks > 0 => self.broken = Some((BROKEN, Contradiction::Late(looks))),
+            _ if looks > 0 => self.broken = Some((BROKEN, Some(Contradiction::Late(looks)))),
             _ => {
                 self.mends(&mover.view.objective);
-                if !handed {
-                    let (way_m, off_m, lever) = promise.tells(&seen.error, mover);
-                    self.refit.take(way_m, off_m, lever, promise.sigma_m);
+                let (way_m, off_m, lever) = promise.tells(&seen.error, mover);
+                match handed {
+                    // It was another objective's calibration that made it.
+                    true if kept == Kept::Drifted => self.remarks.push(Remark::Beside {
+                        objective: mover.view.objective.clone(),
+                        um: 1e6 * apart(&promise.to, &seen.error).0,
+                    }),
+                    true => {}
+                    false => self.refit.take(way_m, off_m, lever, promise.sigma_m),
                 }
-                if kept == Kept::Drifted && !std::mem::replace(&mut self.refit.drifted, true) {
+                let drifts = kept == Kept::Drifted && !handed;
+                if drifts && !std::mem::replace(&mut self.refit.drifted, true) {
                     self.remarks
                         .extend(self.refit.remark(&mover.view.objective));
                 }
@@ -335,12 +342,10 @@ impl Watch {
         Some(kept)
     }
 
-    fn breaks(&mut self, why: Contradiction) {
-        let (count, why) = match self.broken {
-            Some((count, first)) => (count + 1, first.and(why)),
-            None => (1, why),
-        };
-        self.broken = Some((count, why));
+    fn breaks(&mut self, why: Option<Contradiction>) {
+        let (count, first) = self.broken.unwrap_or_default();
+        let both = first.zip(why).map(|(first, why)| first.and(why));
+        self.broken = Some((count + 1, both.or(why).or(first)));
     }
 
     fn mends(&mut self, objective: &ObjectiveId) {
@@ -352,7 +357,7 @@ impl Watch {
         if let Some((_, why)) = self.broken.take() {
             self.remarks.push(Remark::Contradicted {
                 objective: objective.clone(),
-                why: why.once(),
+                why: why.map_or(Contradiction::Elsewhere, Contradiction::once),
             });
         }
     }
@@ -381,7 +386,7 @@ impl Watch {
 
     /// Why the last move did not do what it was to do, where that shows.
     pub(crate) fn suspects(&self) -> Option<Contradiction> {
-        let named = self.broken.map(|(_, why)| why);
+        let named = self.broken.and_then(|(_, why)| why);
         named.filter(|why| *why != Contradiction::Elsewhere)
     }
 
@@ -390,14 +395,13 @@ impl Watch {
         let may = self.trust == Trust::Whole && !self.stays;
         let promise = self.promise.take_if(|_| may)?;
         (self.trust, self.handed) = (Trust::Shift, false);
-        self.breaks(Contradiction::Elsewhere);
+        self.breaks(None);
         Some((promise.before, promise.from))
     }
 
     /// The stage went back, and the target is not seen any more, there or after a small step: what contradicts the moves.
     pub(crate) fn not_there_any_more(&self) -> Option<Contradiction> {
-        self.is_wary()
-            .then(|| self.broken.map_or(Contradiction::Elsewhere, |(_, why)| why))
+        self.is_wary().then(|| self.why())
     }
 
     /// Whether the last moves did what they were to do: only then may another objective take over.
@@ -431,9 +435,14 @@ impl Watch {
         }
     }
 
+    fn why(&self) -> Contradiction {
+        let why = self.broken.and_then(|(_, why)| why);
+        why.unwrap_or(Contradiction::Elsewhere)
+    }
+
     /// Why nothing may move any more.
     pub(crate) fn stops(&self) -> Option<Contradiction> {
         let broken = self.broken.filter(|(count, _)| *count >= BROKEN);
-        broken.map(|(_, why)| why)
+        broken.map(|_| self.why())
     }
 }

@@ -150,7 +150,7 @@ fn of_the_stage() -> Vec<Kind> {
             "x stands and says so",
             Middle,
             Told,
-            &["says: x", "x stopped", "x ="],
+            &["x was sent to"],
             |t, _| {
                 let x = t.truth_now().stage.si(Axis::X).unwrap_or(0.0);
                 let between = Some([x - 1e-6, x + 1e-6]);
@@ -173,7 +173,7 @@ fn of_the_stage() -> Vec<Kind> {
             "moved by hand",
             Middle,
             ToldAndBack,
-            &["Elsewhere"],
+            &["Elsewhere", "beside"],
             |t, rng| {
                 pushed(t, rng, 40.0);
             },
@@ -182,7 +182,7 @@ fn of_the_stage() -> Vec<Kind> {
             "slide slips",
             EachMove,
             ToldAndBack,
-            &["Elsewhere"],
+            &["Elsewhere", "beside"],
             |t, rng| {
                 pushed(t, rng, 15.0);
             },
@@ -200,7 +200,8 @@ fn of_the_camera() -> Vec<Kind> {
         right,
         what: What::Twin(what),
     };
-    let turned: &[&str] = &["Reversed", "Turned"];
+    // Where a stage cannot turn so far it is all the same whether the slide is turned or the camera.
+    let turned: &[&str] = &["Reversed", "Turned", "outside_limits", "cannot_reach"];
     vec![
         kind(
             "camera turned by 180 deg",
@@ -215,7 +216,7 @@ fn of_the_camera() -> Vec<Kind> {
             "camera turned by 15 to 60 deg",
             Start,
             ToldAndBack,
-            &["Turned"],
+            turned,
             |t, rng| {
                 let deg = 15.0 + 45.0 * rng.uniform();
                 t.fault(StageFault::CameraTurned(deg));

@@ -169,6 +169,7 @@ fn names(answer: &Answer) -> Outcome<Vec<String>> {
                 centre_mm,
                 ..
             } => drifted(scale.value, turned_deg.value, centre_mm.map(|k| k.value)).into(),
+            Remark::Beside { .. } => "beside".into(),
             Remark::ScalesDisagree { .. } => "scales disagree".into(),
             Remark::Contradicted { why, .. } => format!("{why:?}"),
         });
