@@ -191,6 +191,7 @@ fn nothing_to_save(error: &ServoError, scope: &Instrument, watcher: &mut Watcher
         angle_left_deg: None,
         in_view: None,
         missing: None,
+        remarks: Vec::new(),
         unique_within_um: None,
         magnifications: Vec::new(),
     };

@@ -165,7 +165,8 @@ impl<'a> Timeline<'a> {
             Event::Identified { .. }
             | Event::SteppedAside { .. }
             | Event::Blurred { .. }
-            | Event::ShadowsFound { .. } => {}
+            | Event::ShadowsFound { .. }
+            | Event::Remarked { .. } => {}
             Event::CalibrationView { .. } | Event::ChainEnded { .. } | Event::Calibrated { .. } => {
                 self.calibrates(&stamped.event)
             }

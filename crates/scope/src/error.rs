@@ -250,6 +250,15 @@ pub enum ScopeError {
         /// How it was noticed.
         detail: String,
     },
+    /// The camera shows one image again and again, although the stage moved.
+    #[error(
+        "the {device} shows the very same image again after the stage has moved: it has frozen. Look at its driver and its cable, and start it \
+         again"
+    )]
+    Frozen {
+        /// Which device.
+        device: &'static str,
+    },
     /// The device reported a fault of its own.
     #[error("the {device} reports: {detail}")]
     Device {
@@ -339,6 +348,7 @@ impl ScopeError {
             | Self::ChangeEnded { .. }
             | Self::Timeout { .. }
             | Self::Lost { .. }
+            | Self::Frozen { .. }
             | Self::Device { .. } => ErrorKind::Fault,
         }
     }

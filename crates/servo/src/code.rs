@@ -153,6 +153,7 @@ fn scope_code(error: &ScopeError) -> ErrorCode {
         | ScopeError::StepTooLarge { .. }
         | ScopeError::NotRetracted { .. } => ErrorCode::OutsideLimits,
         ScopeError::ImmersionNotAgreed { .. } => ErrorCode::Immersion,
+        ScopeError::Frozen { .. } => ErrorCode::NothingMoves,
         other => match other.kind() {
             ScopeErrorKind::Refused => ErrorCode::Refused,
             ScopeErrorKind::Interrupted => ErrorCode::Interrupted,

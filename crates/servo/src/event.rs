@@ -1,7 +1,7 @@
 //! What procedures tell: progress bar, report, replay and resume all read the same events.
 
 use crate::calibrate::told::{ChainPlace, ChainView};
-use crate::{Calibration, FocusResult, Identity, Outcome, PoseError, Velocity};
+use crate::{Calibration, FocusResult, Identity, Outcome, PoseError, Remark, Velocity};
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Frame, Instrument, ObjectiveId, StagePose};
@@ -202,6 +202,12 @@ pub enum Event {
         seen_px: Option<f64>,
         /// Places that stayed: they are fixed to the camera.
         fixed: usize,
+    },
+    /// Something was seen of the instrument that is to be known, and the run goes on.
+    Remarked {
+        /// What.
+        #[serde(flatten)]
+        remark: Remark,
     },
     /// The run ended.
     Finished {

@@ -83,6 +83,7 @@ pub(crate) fn grab(
         stage: stood.filter(|at| scope.gate().last_reported().as_ref() == Some(at)),
     };
     tell(scope, sink, event);
+    scope.check_new(&frame)?;
     Ok(frame)
 }
 

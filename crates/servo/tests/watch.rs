@@ -4,10 +4,10 @@ mod common;
 
 use common::{Bench, PLACE_UM, bench_over, one_objective, options};
 use scopeservo_geometry::Mat2;
-use scopeservo_scope::{Axis, Frame};
+use scopeservo_scope::{Axis, Frame, StagePose};
 use scopeservo_servo::{
-    Calibrate, Calibration, Contradiction, Event, FrameRole, NoSink, Outcome, Reason, Reposition,
-    ServoEnd, Sink, Stamped, Verdict, VisionOptions, run,
+    Calibrate, Calibration, Contradiction, Event, FrameRole, NoSink, Outcome, Reason, Remark,
+    Reposition, ServoEnd, Sink, Stamped, Verdict, VisionOptions, run,
 };
 use scopeservo_twin::specimen::Tissue;
 use scopeservo_twin::{StageConfig, StageFault, Twin};
@@ -27,20 +27,22 @@ fn calibration() -> Calibration {
     run(&mut calibrate, &bench.scope, &mut NoSink).unwrap()
 }
 
-/// Does something after the first frame of the servo, and counts moves since.
+/// Does something after the first frame of the servo, and counts the places from which it was looked since.
 struct Breaks<'a, F: Fn(&Twin)> {
     twin: &'a Twin,
     what: F,
     iterations: usize,
+    last: Option<StagePose>,
 }
 
 impl<F: Fn(&Twin)> Sink for Breaks<'_, F> {
     fn event(&mut self, stamped: Stamped) {
-        if matches!(stamped.event, Event::Iteration { .. }) {
+        if let Event::Iteration { stage, .. } = stamped.event {
             if self.iterations == 0 {
                 (self.what)(self.twin);
             }
-            self.iterations += 1;
+            // Another look from the same place is no move.
+            self.iterations += usize::from(self.last.replace(stage) != Some(stage));
         }
     }
     fn frame(&mut self, _: &Frame, _: FrameRole) {}
@@ -48,15 +50,27 @@ impl<F: Fn(&Twin)> Sink for Breaks<'_, F> {
 
 /// Comes back from 60 um with a calibration, while something breaks; also how far it is off in the end, um and deg, and the iterations.
 fn come_back(calibration: &Calibration, what: impl Fn(&Twin)) -> (Outcome, (f64, f64), usize) {
+    come_back_turned(calibration, 5.0, what)
+}
+
+/// The same with a slide that was turned.
+fn come_back_turned(
+    calibration: &Calibration,
+    turned_deg: f64,
+    what: impl Fn(&Twin),
+) -> (Outcome, (f64, f64), usize) {
     let bench = turntable();
     let (target, truth) = bench.save();
-    bench.twin.remount(PLACE_UM, [38.0, -45.0], 5.0, false);
+    bench
+        .twin
+        .remount(PLACE_UM, [38.0, -45.0], turned_deg, false);
     let known = [(calibration.objective.clone(), calibration.clone())];
     let mut reposition = Reposition::new(target, options()).with_calibrations(known);
     let mut sink = Breaks {
         twin: &bench.twin,
         what,
         iterations: 0,
+        last: None,
     };
     let began = bench.scope.gate().position().unwrap();
     let outcome = run(&mut reposition, &bench.scope, &mut sink).unwrap();
@@ -209,4 +223,69 @@ fn a_calibration_within_the_papers_convergence_range_arrives() {
         assert!(um < 1.0 && deg < 0.02, "{name}: {um} {deg}");
         assert!(iterations <= 9, "{name}: {iterations}");
     }
+}
+
+/// The camera and the objective are watched as well: each is told by itself, and the stage is back where it began.
+#[test]
+fn a_frozen_a_late_and_a_binned_camera_and_another_objective_are_told_apart() {
+    let good = calibration();
+    let (outcome, _, moves) = come_back(&good, |twin| {
+        twin.fault(StageFault::FrozenCamera(true));
+    });
+    assert_eq!(outcome.reason, Reason::NothingMoves, "{}", outcome.message);
+    assert!(outcome.message.contains("frozen"), "{}", outcome.message);
+    assert!(moves <= 3, "{moves}");
+    let (outcome, _, moves) = come_back(&good, |twin| {
+        twin.fault(StageFault::StaleFrames(3));
+    });
+    assert_eq!(
+        why(&outcome),
+        Some(Contradiction::Late(3)),
+        "{}",
+        outcome.message
+    );
+    assert!(moves <= 3, "{moves}");
+    let (outcome, _, _) = come_back(&good, |twin| {
+        twin.fault(StageFault::Binned(2));
+    });
+    let Some(Contradiction::Scaled(factor)) = why(&outcome) else {
+        panic!("{}", outcome.message);
+    };
+    assert!((factor - 0.5).abs() < 0.02, "{factor}");
+    let (outcome, _, _) = come_back(&good, |twin| {
+        twin.fault(StageFault::CameraTurned(25.0));
+    });
+    let turned = match why(&outcome) {
+        Some(Contradiction::Turned(rad)) => rad.to_degrees().abs(),
+        _ => panic!("{}", outcome.message),
+    };
+    assert!((turned - 25.0).abs() < 3.0, "{turned}");
+}
+
+#[test]
+fn a_calibration_that_drifted_is_told_with_what_is_off_and_the_run_goes_on() {
+    let good = calibration();
+    let drifted = |outcome: &Outcome| {
+        assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
+        match outcome.remarks.as_slice() {
+            [
+                Remark::Drifted {
+                    scale, turned_deg, ..
+                },
+            ] => (scale.value, turned_deg.value),
+            other => panic!("{other:?}"),
+        }
+    };
+    // Pixels are smaller than this calibration says. A turn would leave open whether it is the rotation centre.
+    let smaller = changed(&good, |m| m * 1.06);
+    let (outcome, _, _) = come_back_turned(&smaller, 0.0, |_| {});
+    let (scale, _) = drifted(&outcome);
+    assert!((scale + 0.057).abs() < 0.02, "{scale}");
+    assert!(outcome.message.contains("drifted"), "{}", outcome.message);
+    let turned = |m| Mat2::rotation(f64::to_radians(4.1)) * m;
+    let (outcome, _, _) = come_back_turned(&changed(&good, turned), 0.0, |_| {});
+    let (_, deg) = drifted(&outcome);
+    assert!((deg.abs() - 4.1).abs() < 1.0, "{deg}");
+    let (outcome, _, _) = come_back(&good, |_| {});
+    assert_eq!(outcome.remarks, []);
 }

@@ -32,6 +32,9 @@ struct Band {
     smear_px: f64,
 }
 
+/// A camera that is silent is given up after this.
+const SILENCE: Duration = Duration::from_secs(2);
+
 /// Into how many bands a frame is cut whose rows see the image move unevenly.
 const BANDS: usize = 8;
 
@@ -248,7 +251,13 @@ impl Camera for TwinCamera {
     }
 
     fn grab(&self) -> Result<Frame, ScopeError> {
-        drop(self.0.plugged("camera")?);
+        if self.0.plugged("camera")?.shown.silent {
+            self.0.clock.sleep(SILENCE);
+            return Err(ScopeError::Timeout {
+                device: "camera",
+                seconds: SILENCE.as_secs_f64(),
+            });
+        }
         let slot = self.take_slot();
         let camera = &self.0.config.camera;
         let readout = Duration::from_secs_f64(camera.readout_ms * 1e-3);
@@ -297,8 +306,9 @@ impl Camera for TwinCamera {
                 place: &place,
             },
         );
-        self.0.state().adapted.see(camera, &samples, start);
-        Ok(Frame {
+        let mut state = self.0.state();
+        state.adapted.see(camera, &samples, start);
+        let taken = Frame {
             width: camera.width,
             height: camera.height,
             channels: camera.channels,
@@ -307,6 +317,7 @@ impl Camera for TwinCamera {
             sequence: slot.sequence,
             exposure_start: Timestamp::from_start(slot.start),
             exposure: slot.exposure,
-        })
+        };
+        Ok(state.shown.show(taken))
     }
 }

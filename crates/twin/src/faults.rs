@@ -46,6 +46,13 @@ pub enum StageFault {
         /// Difference between arriving from below and from above, m or rad.
         si: f64,
     },
+    /// From the next move on x and y go by this map of the way that they are told and say, and the rotation by its factor.
+    Goes {
+        /// Row by row: the identity where nothing is wrong.
+        xy: [[f64; 2]; 2],
+        /// 1 where nothing is wrong.
+        rz: f64,
+    },
     /// An obstacle: the axis goes no farther either way, and says where it stands (m or rad).
     Wall {
         /// Which axis.
@@ -103,6 +110,36 @@ pub enum StageFault {
     },
     /// The lower half of the next frame is one frame period older than its upper half.
     TornFrame,
+    /// The image that was shown last is shown again and again, with new time stamps, or no more.
+    FrozenCamera(
+        /// Whether it is.
+        bool,
+    ),
+    /// Images are shown so many grabs late, with new time stamps.
+    StaleFrames(
+        /// How many, up to 12; 0 when it is mended.
+        usize,
+    ),
+    /// The camera gives no image any more, or does again.
+    SilentCamera(
+        /// Whether it is silent.
+        bool,
+    ),
+    /// The camera is turned in its mount, about the image's middle, deg.
+    CameraTurned(
+        /// By how much from where it was at first.
+        f64,
+    ),
+    /// So many pixels by as many become one.
+    Binned(
+        /// How many; 1 for all pixels.
+        usize,
+    ),
+    /// In the beam is another objective than the nosepiece says, whatever it is told.
+    InBeam(
+        /// Its number in the nosepiece; `None` when it is mended.
+        Option<usize>,
+    ),
     /// The plug is pulled: stage, nosepiece and camera are lost, and what moves stops. Or it is put back.
     Unplugged(
         /// Pulled, or put back.

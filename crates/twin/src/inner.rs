@@ -1,11 +1,12 @@
 //! What the devices of one microscope share.
 
 use crate::adapted::Adapted;
-use crate::config::Config;
+use crate::config::{Config, MountConfig};
 use crate::faults::DriftingHair;
 use crate::nosepiece::{NosepieceState, Offset};
 use crate::optics::{View, view};
 use crate::sensor::Sensor;
+use crate::shown::Shown;
 use crate::slide::Slide;
 use crate::specimen::Specimen;
 use crate::stage::StageState;
@@ -34,6 +35,9 @@ pub(crate) struct State {
     pub(crate) stage: StageState,
     pub(crate) nosepiece: NosepieceState,
     pub(crate) slide: Slide,
+    /// As the camera sits now.
+    pub(crate) mount: MountConfig,
+    pub(crate) shown: Shown,
     pub(crate) specimen: Arc<dyn Specimen>,
     /// Light that passes the camera's window, per pixel.
     pub(crate) window: Arc<Vec<f32>>,
@@ -84,11 +88,10 @@ impl Inner {
         let (objective, scatter, lit) = state.nosepiece.at(t);
         view(
             &self.config,
-            &state.slide,
+            (&state.mount, &state.slide),
             &state.stage.truth(t),
             self.start_z,
-            objective,
-            self.offset(objective, scatter),
+            (objective, self.offset(objective, scatter)),
             lit,
         )
     }

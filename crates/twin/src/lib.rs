@@ -41,6 +41,7 @@ mod sampling;
 mod scene;
 mod seeds;
 mod sensor;
+mod shown;
 mod slide;
 pub mod specimen;
 mod stage;

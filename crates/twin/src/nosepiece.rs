@@ -46,6 +46,8 @@ pub(crate) struct NosepieceState {
     config: NosepieceConfig,
     changes: Vec<Change>,
     rng: Pcg64Mcg,
+    /// What is in the beam, whatever it says.
+    in_beam: Option<usize>,
 }
 
 impl NosepieceState {
@@ -60,6 +62,7 @@ impl NosepieceState {
                 ended: Motion::Settled,
             }],
             rng: seeds::rng(seed, seeds::NOSEPIECE, 1),
+            in_beam: None,
         }
     }
 
@@ -68,21 +71,27 @@ impl NosepieceState {
         &self.changes[self.changes.len() - 1]
     }
 
-    /// The active objective, or the one that comes next, its scatter, and whether light passes.
-    pub(crate) fn at(&self, t: f64) -> (usize, Offset, bool) {
-        let change = self
-            .changes
-            .iter()
-            .rev()
-            .find(|c| c.start <= t)
-            .unwrap_or(&self.changes[0]);
-        let lit = t >= change.end && change.ended == Motion::Settled;
-        (change.to, change.scatter, lit)
+    fn change_at(&self, t: f64) -> &Change {
+        let begun = self.changes.iter().rev().find(|c| c.start <= t);
+        begun.unwrap_or(&self.changes[0])
     }
 
+    /// The objective in the beam, or the one that comes next, its scatter, and whether light passes.
+    pub(crate) fn at(&self, t: f64) -> (usize, Offset, bool) {
+        let change = self.change_at(t);
+        let lit = t >= change.end && change.ended == Motion::Settled;
+        (self.in_beam.unwrap_or(change.to), change.scatter, lit)
+    }
+
+    /// Another objective is in the beam than is told.
+    pub(crate) fn put_in_beam(&mut self, index: Option<usize>) {
+        self.in_beam = index;
+    }
+
+    /// What it says.
     pub(crate) fn current(&self, now: f64) -> Option<usize> {
-        let (index, _, lit) = self.at(now);
-        lit.then_some(index)
+        let (_, _, lit) = self.at(now);
+        lit.then_some(self.change_at(now).to)
     }
 
     pub(crate) fn motion(&self, now: f64) -> Motion {
@@ -181,6 +190,17 @@ mod tests {
         for s in [first, second] {
             assert!(s.centre_um.iter().all(|v| v.abs() <= 2.0) && s.centre_um[0] != 0.0);
         }
+    }
+
+    #[test]
+    fn what_is_in_the_beam_may_be_another_than_is_said() {
+        let mut n = state();
+        n.put_in_beam(Some(2));
+        assert_eq!((n.current(0.0), n.at(0.0).0), (Some(0), 2));
+        n.start_change(1, 0.0).unwrap();
+        assert_eq!((n.current(2.0), n.at(2.0).0), (Some(1), 2));
+        n.put_in_beam(None);
+        assert_eq!((n.current(2.0), n.at(2.0).0), (Some(1), 1));
     }
 
     #[test]

@@ -93,28 +93,28 @@ fn world_from_end_effector(kinematics: Kinematics, pose: &Six) -> Affine {
 /// World coordinates of a pixel, before the slide comes in.
 pub(crate) fn world_from_pixel(
     config: &Config,
+    mount: &MountConfig,
     pose: &Six,
     objective: usize,
     offset_um: [f64; 2],
 ) -> Affine {
     let p0 = principal_point(config.camera.width, config.camera.height);
-    end_effector_from_pixel(&config.mount, &config.optics[objective], p0, offset_um)
+    end_effector_from_pixel(mount, &config.optics[objective], p0, offset_um)
         .then(&world_from_end_effector(config.stage.kinematics, pose))
 }
 
-/// Everything about one instant.
+/// Everything about one instant: with a mount as it is now, and an objective that looks a little beside where it should.
 pub(crate) fn view(
     config: &Config,
-    slide: &Slide,
+    (mount, slide): (&MountConfig, &Slide),
     pose: &Six,
     start_z: f64,
-    objective: usize,
-    offset: Offset,
+    (objective, offset): (usize, Offset),
     lit: bool,
 ) -> View {
     let p0 = principal_point(config.camera.width, config.camera.height);
     let optics = &config.optics[objective];
-    let c_from_p = end_effector_from_pixel(&config.mount, optics, p0, offset.centre_um);
+    let c_from_p = end_effector_from_pixel(mount, optics, p0, offset.centre_um);
     let world = c_from_p.then(&world_from_end_effector(config.stage.kinematics, pose));
     let defocus = |p: [f64; 2]| {
         let mut arm = c_from_p.apply(p);

@@ -96,6 +96,10 @@ pub(crate) struct StageState {
     /// For each axis that is moved, another and how far it goes along.
     along: [Option<(usize, f64)>; 6],
     misreported: Six,
+    /// What moves of x and y do, and of the rotation, in place of what they are told.
+    goes: ([[f64; 2]; 2], f64),
+    /// How far that has led astray.
+    astray: Six,
     ignores_stop: bool,
     drift_rate: [f64; 3],
     drift_before: [f64; 3],
@@ -122,6 +126,8 @@ impl StageState {
             walls: [None; 6],
             along: [None; 6],
             misreported: [0.0; 6],
+            goes: ([[1.0, 0.0], [0.0, 1.0]], 1.0),
+            astray: [0.0; 6],
             ignores_stop: false,
             drift_rate,
             drift_before: [0.0; 3],
@@ -151,8 +157,8 @@ impl StageState {
             let i = index(a.axis);
             let drawn: f64 = self.rng.random_range(-1.0..1.0);
             if moved[i] {
-                error[i] =
-                    a.repeatability * 1e-6 * drawn - 0.5 * self.direction[i] * self.backlash[i];
+                error[i] = self.astray[i] + a.repeatability * 1e-6 * drawn
+                    - 0.5 * self.direction[i] * self.backlash[i];
             }
         }
         error
@@ -283,6 +289,8 @@ impl StageState {
         } else {
             moved
         };
+        let way = std::array::from_fn(|i| goal[i] - from[i]);
+        let scattered = self.go_astray(&way, scattered);
         let to_error = self.draw_error(&from_error, &scattered);
         let encoder = self.draw_encoder(&encoder, &scattered);
         let phase = std::array::from_fn(|_| self.rng.random_range(0.0..TAU));
@@ -374,6 +382,26 @@ impl StageState {
     pub(crate) fn take_along(&mut self, axis: Axis, along: Axis, si: f64) {
         let has = self.config.has(along) && axis != along && si != 0.0;
         self.along[index(axis)] = has.then_some((index(along), si));
+    }
+
+    pub(crate) fn go(&mut self, xy: [[f64; 2]; 2], rz: f64) {
+        self.goes = (xy, rz);
+    }
+
+    /// A move leads elsewhere than it is told; also which axes then scatter.
+    fn go_astray(&mut self, way: &Six, mut scattered: [bool; 6]) -> [bool; 6] {
+        let (map, turns) = self.goes;
+        let [x, y, turn] = [Axis::X, Axis::Y, Axis::Rz].map(|axis| way[index(axis)]);
+        let really = [0, 1].map(|k| map[k][0] * x + map[k][1] * y);
+        for (axis, off) in [
+            (Axis::X, really[0] - x),
+            (Axis::Y, really[1] - y),
+            (Axis::Rz, (turns - 1.0) * turn),
+        ] {
+            self.astray[index(axis)] += off;
+            scattered[index(axis)] |= off != 0.0;
+        }
+        scattered
     }
 
     pub(crate) fn misreport(&mut self, axis: Axis, si: f64) {

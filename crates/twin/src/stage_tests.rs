@@ -32,6 +32,29 @@ fn the_speed_profile_rises_without_a_jump_and_arrives() {
 }
 
 #[test]
+fn moves_that_go_by_another_map_go_by_it_and_say_what_they_were_told() {
+    let to = |x: f64, y: f64, rz: f64| {
+        let pose = StagePose::default().with_si(Axis::X, x).with_si(Axis::Y, y);
+        pose.with_si(Axis::Rz, rz)
+    };
+    let mut s = exact();
+    s.start_move(&to(1e-3, 2e-3, 0.01), 0.0).unwrap();
+    // Exchanged, the other way round and nine tenths of it: from where it stands.
+    s.go([[0.0, 1.0], [-0.9, 0.0]], 0.5);
+    s.start_move(&to(2e-3, 5e-3, 0.03), 2.0).unwrap();
+    let (middle, is, said) = (s.truth(2.2), s.truth(9.0), s.reported(9.0));
+    assert!((is[0] - (1e-3 + 3e-3)).abs() < 1e-12 && (is[1] - (2e-3 - 0.9e-3)).abs() < 1e-12);
+    assert!((is[5] - 0.02).abs() < 1e-12);
+    assert!((said.si(Axis::Y).unwrap() - 5e-3).abs() < 1e-12);
+    // On the way, not at once.
+    assert!(middle[0] > 1.1e-3 && middle[0] < 3.9e-3, "{}", middle[0]);
+    // Mended: from there on as told.
+    s.go([[1.0, 0.0], [0.0, 1.0]], 1.0);
+    s.start_move(&to(1e-3, 5e-3, 0.03), 10.0).unwrap();
+    assert!((s.truth(20.0)[0] - 3e-3).abs() < 1e-12);
+}
+
+#[test]
 fn arrivals_scatter_inside_the_data_sheet() {
     let mut config = StageConfig::hexapod();
     config.drift_um_per_s = [0.0; 3];

@@ -12,6 +12,7 @@ use crate::nosepiece::{NosepieceState, fixed_offsets};
 use crate::optics::world_from_pixel;
 use crate::seeds;
 use crate::sensor::Sensor;
+use crate::shown::Shown;
 use crate::slide::{Slide, SpecimenEvent};
 use crate::specimen::Specimen;
 use crate::stage::StageState;
@@ -87,6 +88,8 @@ impl Twin {
                 stage,
                 nosepiece: NosepieceState::new(nosepiece, seed, now),
                 slide: Slide::new(&config.slide),
+                mount: config.mount.clone(),
+                shown: Shown::default(),
                 specimen,
                 window: sensor.window(),
                 hair: None,
@@ -171,6 +174,7 @@ impl Twin {
         let (objective, scatter, _) = state.nosepiece.at(now);
         let world = world_from_pixel(
             &self.inner.config,
+            &state.mount,
             &state.stage.truth(now),
             objective,
             self.inner.offset(objective, scatter).centre_um,
@@ -244,6 +248,18 @@ impl Twin {
             StageFault::LostSteps { axis, si } => state.stage.lose_steps(axis, si),
             StageFault::StuckAxis { axis, stuck } => state.stage.stick(axis, stuck, now),
             StageFault::Backlash { axis, si } => state.stage.set_backlash(axis, si),
+            StageFault::Goes { xy, rz } => state.stage.go(xy, rz),
+            StageFault::FrozenCamera(frozen) => state.shown.freeze(frozen),
+            StageFault::StaleFrames(late) => state.shown.lag(late),
+            StageFault::SilentCamera(silent) => state.shown.silent = silent,
+            StageFault::Binned(count) => state.shown.bin(count),
+            StageFault::CameraTurned(deg) => {
+                state.mount.phi_deg = self.inner.config.mount.phi_deg + deg;
+            }
+            StageFault::InBeam(index) => {
+                let there = index.filter(|i| *i < self.inner.objectives.len());
+                state.nosepiece.put_in_beam(there);
+            }
             StageFault::Wall { axis, between } => state.stage.set_wall(axis, between),
             StageFault::TakesAlong { axis, along, si } => {
                 state.stage.take_along(axis, along, si);

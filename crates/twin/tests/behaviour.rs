@@ -198,6 +198,79 @@ fn dropped_late_and_torn_frames() {
 }
 
 #[test]
+fn a_frozen_camera_shows_one_image_again_with_new_time_stamps() {
+    let bench = Bench::new(Config::realistic(), waves());
+    let shown = bench.grab();
+    bench.twin.fault(StageFault::FrozenCamera(true));
+    bench.move_to(x(100.0));
+    let [first, second] = [bench.grab(), bench.grab()];
+    assert!(first.samples == shown.samples && second.samples == shown.samples);
+    assert!(second.sequence > first.sequence && second.exposure_start > first.exposure_start);
+    bench.twin.fault(StageFault::FrozenCamera(false));
+    assert!(bench.grab().samples != shown.samples);
+}
+
+#[test]
+fn stale_images_come_so_many_grabs_late() {
+    let still = Bench::new(hexapod(), waves());
+    let at: Vec<_> = (0..6)
+        .map(|k| {
+            still.move_to(x(20.0 * f64::from(k)));
+            still.grab().samples
+        })
+        .collect();
+    let bench = Bench::new(hexapod(), waves());
+    let mut shown = Vec::new();
+    for k in 0..6 {
+        if k == 1 {
+            bench.twin.fault(StageFault::StaleFrames(2));
+        }
+        bench.move_to(x(20.0 * f64::from(k)));
+        shown.push(bench.grab().samples);
+    }
+    // The one that was shown last until the queue is full, and then two late.
+    for (k, late) in [0, 0, 0, 1, 2, 3].into_iter().enumerate() {
+        assert!(shown[k] == at[late], "{k}");
+    }
+}
+
+#[test]
+fn a_silent_camera_gives_nothing_and_says_so() {
+    let bench = Bench::new(hexapod(), waves());
+    bench.twin.fault(StageFault::SilentCamera(true));
+    let error = bench.camera.grab().unwrap_err();
+    assert!(error.to_string().contains("camera"), "{error}");
+    bench.twin.fault(StageFault::SilentCamera(false));
+    bench.grab();
+}
+
+#[test]
+fn a_binned_image_is_the_mean_of_its_pixels_and_a_turned_camera_turns_the_image() {
+    let bench = Bench::new(hexapod(), waves());
+    let whole = bench.grab();
+    bench.twin.fault(StageFault::Binned(2));
+    let half = bench.grab();
+    assert_eq!(
+        (half.width, half.height),
+        (whole.width / 2, whole.height / 2)
+    );
+    let (all, binned) = (whole.luminance(), half.luminance());
+    let (x, y) = (100, 70);
+    let four: f32 = [0, 1, whole.width, whole.width + 1]
+        .map(|k| all[2 * y * whole.width + 2 * x + k])
+        .iter()
+        .sum();
+    assert!((binned[y * half.width + x] - four / 4.0).abs() < 1.0 / 255.0);
+    bench.twin.fault(StageFault::Binned(1));
+    let before = bench.twin.truth_now();
+    bench.twin.fault(StageFault::CameraTurned(30.0));
+    let after = bench.twin.truth_now();
+    let turn = (after.angle_deg - before.angle_deg).abs();
+    assert!((turn - 30.0).abs() < 1e-9, "{turn}");
+    assert!((0..2).all(|k| (after.centre_um[k] - before.centre_um[k]).abs() < 1e-9));
+}
+
+#[test]
 fn motion_during_the_exposure_smears() {
     let bench = Bench::new(hexapod(), waves());
     let still = sharpness(&bench.grab());

@@ -115,6 +115,7 @@ fn show(
         "angle_left_deg": outcome.angle_left_deg,
         "in_view": outcome.in_view,
         "missing": outcome.missing.as_ref().map(output::missing),
+        "remarks": outcome.remarks,
         "unique_within_um": outcome.unique_within_um,
         "moves": counters.moves,
         "frames": counters.frames,

@@ -4,6 +4,7 @@ mod grab;
 mod memory;
 mod moves;
 mod objective;
+mod same_image;
 mod waiting;
 
 use crate::{
@@ -40,6 +41,8 @@ pub struct Instrument {
     objective_changes: AtomicU64,
     /// A frame that nobody waits for any more.
     given_up: Mutex<Option<std::thread::JoinHandle<()>>>,
+    /// The last image that was checked to be new.
+    shown: Mutex<Option<same_image::Shown>>,
     /// Whoever is asked before another medium comes between objective and specimen. Without, it is refused.
     ask_immersion: Option<AskImmersion>,
     /// Let go last, after the devices.
@@ -71,6 +74,7 @@ impl Instrument {
             frames: AtomicU64::new(0),
             objective_changes: AtomicU64::new(0),
             given_up: Mutex::new(None),
+            shown: Mutex::new(None),
             ask_immersion: None,
             kept: Vec::new(),
         })

@@ -115,7 +115,7 @@ fn widened_at(so_far: &SoFar<'_>) -> Option<usize> {
 }
 
 /// Direct control: from the lowest magnification to whichever took over, the target's own if possible. What was handed over and is not seen there is
-/// looked for once with the objectives that were passed over.
+/// looked for once with the objectives that were passed over, and then with the lowest again.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Shortest;
 
@@ -136,7 +136,12 @@ impl LegPolicy for Shortest {
             // The highest of those that were passed over is the nearest to what was known.
             ServoEnd::Lost(_) => {
                 let passed = rungs[..at].iter().rev().find(untried);
-                passed.or(rungs.get(at + 1).filter(untried))
+                // Where it was seen first it is looked for once more.
+                let lowest = rungs.first().filter(|id| {
+                    let handed = matches!(done[0].end, ServoEnd::HandedOver { .. });
+                    at > 0 && handed && done.iter().filter(|d| d.objective == **id).count() == 1
+                });
+                passed.or(rungs.get(at + 1).filter(untried)).or(lowest)
             }
             _ => rungs.get(at + 1),
         };
@@ -330,9 +335,18 @@ mod tests {
         assert_eq!(next(&[]).as_deref(), Some("10x"));
         assert_eq!(next(&[past()]).as_deref(), Some("40x"));
         assert_eq!(next(&[past(), lost("40x")]).as_deref(), Some("20x"));
-        assert_eq!(next(&[past(), lost("40x"), lost("20x")]), None);
+        let lowest = [past(), lost("40x"), lost("20x")];
+        assert_eq!(next(&lowest).as_deref(), Some("10x"));
+        let anew = |end| next(&[&lowest[..], &[past(), end]].concat());
+        assert_eq!(
+            next(&[&lowest[..], &[past()]].concat()).as_deref(),
+            Some("40x")
+        );
+        assert_eq!(anew(lost("40x")), None, "once");
+        assert_eq!(next(&[&lowest[..], &[lost("10x")]].concat()), None);
         let again = [past(), lost("40x"), handed("20x", "40x")];
         assert_eq!(next(&again).as_deref(), Some("40x"));
-        assert_eq!(next(&[again.as_slice(), &[lost("40x")]].concat()), None);
+        let lost_again = [again.as_slice(), &[lost("40x")]].concat();
+        assert_eq!(next(&lost_again).as_deref(), Some("10x"));
     }
 }

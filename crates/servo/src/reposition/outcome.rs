@@ -1,6 +1,6 @@
 //! The answer of a run.
 
-use crate::{Calibration, ErrorCode, LimitedBy, Missing, ServoEnd, ServoError};
+use crate::{Calibration, ErrorCode, LimitedBy, Missing, Remark, ServoEnd, ServoError};
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 
@@ -98,6 +98,9 @@ pub struct Outcome {
     /// What the stage lacks to get there.
     #[serde(default)]
     pub missing: Option<Missing>,
+    /// What was seen of the instrument, and went on: a calibration that has drifted, a move that did something else.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remarks: Vec<Remark>,
     /// Width and height of the widest view, um on the specimen: what looks the same farther away could not be seen.
     #[serde(default)]
     pub unique_within_um: Option<[f64; 2]>,

@@ -8,12 +8,12 @@ mod ending;
 use super::{ahead, parcentric, words};
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
-use crate::servo::watch::Promise;
+use crate::servo::watch::Watch;
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
-    Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions, Law,
-    Localizer, Phase, PlanarPose, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Sink,
-    SwitchingReport, Target, VisionOptions,
+    Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions,
+    Identify, Law, Localizer, Phase, PlanarPose, Remark, Servo, ServoEnd, ServoError, ServoOptions,
+    ServoTask, Sink, SwitchingReport, Target, VisionOptions,
 };
 use scopeservo_scope::{Immersion, Instrument, ObjectiveId};
 use serde::{Deserialize, Serialize};
@@ -50,6 +50,8 @@ enum Work {
     Bring(Box<Bring>),
     Calibrate(Box<Calibrate>),
     Servo(Box<Servo>),
+    /// Nothing was seen: is it the objective that it is said to be?
+    Identify(Box<Identify>),
 }
 
 /// Algorithm 1 as a step machine. Serialise it between two steps to continue after a kill.
@@ -77,9 +79,12 @@ pub struct Reposition {
     /// Where the stage stood when the run began.
     #[serde(default)]
     began: Option<PlanarPose>,
-    /// What the last move of the leg before was to do.
+    /// What the moves of the legs before have shown.
     #[serde(default)]
-    promised: Option<Promise>,
+    watch: Watch,
+    /// What was seen of the instrument.
+    #[serde(default)]
+    remarks: Vec<Remark>,
 }
 
 impl Reposition {
@@ -96,7 +101,8 @@ impl Reposition {
             immersion: None,
             done: Vec::new(),
             began: None,
-            promised: None,
+            watch: Watch::default(),
+            remarks: Vec::new(),
         }
     }
 
@@ -304,7 +310,8 @@ impl Reposition {
                     return Ok(None);
                 };
                 let seen = servo.seen();
-                self.promised = servo.promised();
+                self.watch = servo.watch().clone();
+                self.remarks.extend(self.watch.remarks());
                 self.done.push(MagnificationResult {
                     magnification: scope.objective(leg.objective())?.magnification,
                     calibration: task.view_calibration.clone(),
@@ -312,22 +319,13 @@ impl Reposition {
                     end: end.clone(),
                 });
                 self.go_back(scope, &end)?;
-                Ok(self.servoed(scope, &target, &end, seen))
+                Ok(self.servoed(scope, &target, (leg, &end), seen))
+            }
+            Work::Identify(identify) => {
+                let seen = identify.step(scope, sink);
+                self.looked_at(leg.objective(), seen)
             }
         }
-    }
-
-    /// What contradicts the stage's moves ends where the run began, on axes that were seen to obey; else the stage stands still.
-    fn go_back(&self, scope: &Instrument, end: &ServoEnd) -> Result<(), ServoError> {
-        let (Some(began), ServoEnd::Contradicted { why, .. }) = (self.began, end) else {
-            return Ok(());
-        };
-        if why.leaves_standing() {
-            return Ok(());
-        }
-        let present = scope.gate().position()?;
-        scope.move_to(&began.request(&present))?;
-        Ok(())
     }
 
     /// The objective is active and in focus.
@@ -372,7 +370,11 @@ impl Reposition {
 
     fn servo(&mut self, scope: &Instrument, sink: &mut dyn Sink, leg: Leg) {
         self.enter(scope, sink, Phase::Servo, &leg);
-        let work = Work::Servo(Box::new(Servo::after(self.promised.take())));
+        let seen =
+            |d: &MagnificationResult| d.objective == *leg.objective() && d.end.result().is_some();
+        let first = !self.done.iter().any(seen);
+        let watch = std::mem::take(&mut self.watch).handed_over(first);
+        let work = Work::Servo(Box::new(Servo::after(watch)));
         self.state = State::Under { leg, work };
     }
 
@@ -406,7 +408,10 @@ impl Procedure for Reposition {
     ) -> Result<Progress<Outcome>, ServoError> {
         let ended = match self.advance(scope, sink) {
             Ok(ended) => ended,
-            Err(error) => Some(self.answer(error)?),
+            Err(error) => {
+                self.withdraw(scope, &error)?;
+                Some(self.answer(error)?)
+            }
         };
         Ok(match ended {
             None => Progress::Continue,

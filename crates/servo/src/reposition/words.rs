@@ -4,7 +4,7 @@ use super::words_of_reach::{cannot_reach, outside_tolerance};
 use super::{Left, Reason, Verdict};
 use crate::target::MIN_TARGET_FEATURES;
 use crate::words::rival_in_words;
-use crate::{Contradiction, LimitedBy, ServoEnd, ServoResult};
+use crate::{Contradiction, Known, LimitedBy, Remark, ServoEnd, ServoResult};
 
 /// The answer that the end of the last loop means, at the magnification `at`. `seen_below`: the target was seen at a lower one; `left`: what a
 /// stage has left that did not turn.
@@ -116,12 +116,70 @@ fn converged(result: &ServoResult, left: Option<&Left>) -> (Verdict, Reason, Str
     (Verdict::Arrived, Reason::Converged, message)
 }
 
+/// What was seen of the instrument, as more sentences.
+pub(super) fn remarks(all: &[Remark]) -> String {
+    all.iter().map(|r| format!(". {}", remark(r))).collect()
+}
+
+/// In words, and what to do.
+fn remark(remark: &Remark) -> String {
+    match remark {
+        Remark::Drifted {
+            objective,
+            scale,
+            turned_deg,
+            centre_mm,
+        } => {
+            let shows = |known: &Known| known.value.abs() > 2.0 * known.sigma;
+            let mut parts = Vec::new();
+            if shows(scale) {
+                parts.push(format!("scale {:+.1} %", 100.0 * scale.value));
+            }
+            if shows(turned_deg) {
+                parts.push(format!("angle {:+.2} deg", turned_deg.value));
+            }
+            if centre_mm.iter().any(shows) {
+                let [x, y] = centre_mm.map(|k| k.value);
+                parts.push(format!("rotation centre by {x:+.1} and {y:+.1} mm"));
+            }
+            if parts.is_empty() {
+                parts.push(
+                    "scale, angle or rotation centre, and these moves do not tell which".into(),
+                );
+            }
+            format!(
+                "The calibration drifted: by the moves with {objective}, {}, or the stage goes wrong by as much, or something was moved. \
+                 Run `check`, or `calibrate` again",
+                parts.join(", ")
+            )
+        }
+        Remark::Beside { objective, um } => format!(
+            "When {objective} came in the view lay {um:.0} um beside where it was to be: either the slide or the stage was moved meanwhile, or \
+             lost steps, or the calibration has drifted, which `check` tells"
+        ),
+        Remark::ScalesDisagree { objective, factor } => format!(
+            "The calibration drifted: beside the target's objective the scale of {objective} is {:+.1} % off. Run `check` for both",
+            100.0 * (factor - 1.0)
+        ),
+        Remark::Contradicted { why, .. } => {
+            let why = contradiction(*why);
+            let mut letters = why.chars();
+            let first = letters.next().map(|c| c.to_ascii_uppercase());
+            format!(
+                "On the way a move did not do what it was to do. {}{}",
+                first.map(String::from).unwrap_or_default(),
+                letters.as_str()
+            )
+        }
+    }
+}
+
 /// What contradicts the moves, and what to do.
 fn contradiction(why: Contradiction) -> String {
     match why {
         Contradiction::NothingMoved => {
             "the stage was moved, and the view stayed where it was. Look for a motor that is off, a stage that stands against \
-             something, and a camera that shows an old picture"
+             something, and a camera that shows an old image"
                 .into()
         }
         Contradiction::AxisStands(axis) => format!(
@@ -137,6 +195,18 @@ fn contradiction(why: Contradiction) -> String {
         Contradiction::Swapped => {
             "x and y are exchanged since the calibration. Look at the axes in the description, then `calibrate`".into()
         }
+        Contradiction::Turned(rad) => format!(
+            "the view went in a direction turned by {:.1} deg. The camera was turned in its mount since the calibration: `calibrate`",
+            rad.to_degrees()
+        ),
+        Contradiction::Scaled(factor) => format!(
+            "the image shows the saved view {factor:.2} times as large as this objective does. Another objective is in than is told, as the \
+             nosepiece did not turn or was turned by hand, or the camera bins its pixels otherwise: look, then `calibrate`"
+        ),
+        Contradiction::Late(frames) => format!(
+            "what a move did was seen only {frames} frames later, while nothing moved. The camera shows stale images, from a buffer of its \
+             driver, or the stage goes on after it says that it stands"
+        ),
         Contradiction::Share(share) => format!(
             "the view went {:.0} % of what was asked. Another objective may be in than is told, the images binned otherwise, or a \
              unit changed: look, then `calibrate`",

@@ -1,31 +1,54 @@
 //! What is expected of the next frame.
 
 use crate::ServoTask;
+use scopeservo_geometry::Affine2;
 use scopeservo_registration::{Prior, RotationPrior, ScalePrior};
 use serde::{Deserialize, Serialize};
 
 /// How far the view may have turned since the last frame that was understood, radians: by lost frames in a row since. After more, any
 /// angle is expected.
 const TURNED_RAD: [f64; 2] = [0.1, 0.4];
+/// How far the scale may be off what the calibrations say, in the same way. One that is off by more than the first is told.
+const SCALED: [f64; 2] = [0.04, 0.2];
 
 /// The angle of the last frame, or that which the move since then brings, and how many were lost since.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Expected {
     angle_rad: Option<f64>,
     lost_in_a_row: usize,
+    /// The scale that was seen over that of the calibrations, where they disagree.
+    #[serde(default)]
+    scaled: Option<f64>,
 }
 
 impl Expected {
     /// What is known before matching: the scale from both calibrations, the angle from the last frame.
     pub(crate) fn prior(&self, task: &ServoTask<'_>) -> Prior {
         Prior {
-            scale: Some(ScalePrior {
-                ratio: task.view_calibration.um_per_px() / task.target_calibration.um_per_px(),
-                tolerance: 0.04,
+            scale: SCALED.get(self.lost_in_a_row).map(|tolerance| ScalePrior {
+                ratio: self.scaled.unwrap_or(1.0) * scale_of(task),
+                tolerance: *tolerance,
             }),
             rotation: self.rotation(),
             ..Prior::default()
         }
+    }
+
+    /// The scale of a transform over that of the calibrations, where it is not what was expected.
+    pub(crate) fn surprises(
+        &self,
+        target_from_view: &Affine2,
+        task: &ServoTask<'_>,
+    ) -> Option<f64> {
+        let factor = target_from_view.linear.det().abs().sqrt() / scale_of(task);
+        let off = factor / self.scaled.unwrap_or(1.0) - 1.0;
+        // What was found within the first tolerance lies there, to within what the measurement adds.
+        (off.abs() > 1.25 * SCALED[0]).then_some(factor)
+    }
+
+    /// From now on the scale is so many times that of the calibrations.
+    pub(crate) fn scaled(&mut self, factor: f64) {
+        self.scaled = Some(factor);
     }
 
     fn rotation(&self) -> Option<RotationPrior> {
@@ -59,6 +82,11 @@ impl Expected {
     pub(crate) fn forget_angle(&mut self) {
         self.angle_rad = None;
     }
+}
+
+/// Pixels of the target to one of the view.
+fn scale_of(task: &ServoTask<'_>) -> f64 {
+    task.view_calibration.um_per_px() / task.target_calibration.um_per_px()
 }
 
 #[cfg(test)]

@@ -8,16 +8,20 @@ use crate::event::tell;
 use crate::one_side::move_from_one_side;
 use crate::pose::image_angle;
 use crate::{
-    Event, PlanarPose, PoseEstimate, Progress, ServoEnd, ServoError, ServoTask, Sink, Velocity,
+    Contradiction, Event, PlanarPose, PoseEstimate, Progress, ServoEnd, ServoError, ServoResult,
+    ServoTask, Sink, Velocity,
 };
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Instrument, StagePose};
 
+/// Scales of two objectives that disagree by more than this, as a logarithm, are no drift: three times the paper's convergence range.
+const DRIFTED_SCALE: f64 = 0.18;
+
 impl Servo {
     /// A loop whose first frame is to show what a move before it was to do.
-    pub(crate) fn after(promise: Option<Promise>) -> Self {
+    pub(crate) fn after(watch: Watch) -> Self {
         Self {
-            watch: Watch::of(promise),
+            watch,
             ..Self::default()
         }
     }
@@ -32,9 +36,9 @@ impl Servo {
         }
     }
 
-    /// What a move was to do after which no frame was understood.
-    pub(crate) fn promised(&self) -> Option<Promise> {
-        self.watch.promise
+    /// What the moves have shown so far.
+    pub(crate) fn watch(&self) -> &Watch {
+        &self.watch
     }
 
     /// Whether the target was seen at all.
@@ -86,26 +90,48 @@ impl Servo {
         self.watch.promise = Some(promise);
     }
 
-    /// Whether too much of what was seen contradicts what the stage was told.
+    /// Whether too much of what was seen contradicts what the stage was told, or another look will show.
     pub(crate) fn contradicted(
         &mut self,
         task: &ServoTask<'_>,
         scope: &Instrument,
+        sink: &mut dyn Sink,
         sight: &Sight<'_>,
-    ) -> Option<ServoEnd> {
+    ) -> Option<Progress<ServoEnd>> {
+        let known = self.watch.remarks().len();
+        let scaled = self.scaled(task, sight);
         let view_m = 1e-6 * task.view_calibration.um_per_px();
         let kept = self
             .watch
-            .see(&sight.located.pose, &task.mover(scope), view_m)?;
-        if kept != Kept::Yes {
+            .see(&sight.located.pose, &task.mover(scope), view_m);
+        if kept.is_some_and(|kept| kept != Kept::Yes) {
             // Divergence counts from what the next move finds.
             self.convergence.begin_anew();
         }
-        let why = self.watch.stops()?;
-        let last = self
-            .convergence
-            .result(sight.measured(&sight.located, task));
-        Some(ServoEnd::Contradicted { why, last })
+        for remark in self.watch.remarks().split_off(known) {
+            tell(scope, sink, Event::Remarked { remark });
+        }
+        let now = sight.measured(&sight.located, task);
+        if let Some(why) = scaled.or_else(|| self.watch.stops()) {
+            let last = self.convergence.result(now);
+            return Some(Progress::Done(ServoEnd::Contradicted { why, last }));
+        }
+        (kept == Some(Kept::NotYet)).then(|| {
+            let over = self.convergence.disbelieve(task.options, now);
+            over.map_or(Progress::Continue, Progress::Done)
+        })
+    }
+
+    /// What the scale contradicts: that this objective is in, and all its pixels. Of two objectives, one of which has drifted, it is a remark.
+    fn scaled(&mut self, task: &ServoTask<'_>, sight: &Sight<'_>) -> Option<Contradiction> {
+        let transform = &sight.located.estimate.target_from_view;
+        let factor = self.expected.surprises(transform, task)?;
+        if task.is_arrival() || factor.ln().abs() > DRIFTED_SCALE {
+            return Some(Contradiction::Scaled(1.0 / factor));
+        }
+        self.expected.scaled(factor);
+        self.watch.scaled(task.objective(), factor);
+        None
     }
 
     pub(crate) fn lost(
@@ -130,7 +156,7 @@ impl Servo {
         // What a move has lost is looked for where it began.
         let may = self.convergence.iteration < task.options.max_iterations;
         let Some((before, error)) = self.watch.turns_back().filter(|_| may) else {
-            return Ok(Progress::Done(end));
+            return Ok(Progress::Done(self.gone(end)));
         };
         let present = scope.gate().position()?;
         move_from_one_side(
@@ -142,9 +168,29 @@ impl Servo {
         let (view, target) = (task.view_calibration, task.target_calibration);
         self.expected
             .moving(image_angle(error.theta_rad, view, target));
+        self.last_seen = Some(error);
         self.convergence.begin_anew();
         self.proof.begin_anew();
         Ok(Progress::Continue)
+    }
+
+    /// What was seen, is lost, and is not where it was seen any more, has moved otherwise than it was told, where there is something to see.
+    fn gone(&self, end: ServoEnd) -> ServoEnd {
+        let dark = matches!(end, ServoEnd::Lost(NotFound::TooFewFeatures { .. }));
+        let why = self.watch.not_there_any_more().filter(|_| !dark);
+        let Some((why, error)) = why.zip(self.last_seen) else {
+            return end;
+        };
+        let last = ServoResult {
+            iterations: self.convergence.iteration,
+            inliers: 0,
+            error,
+            sigma_um: 0.0,
+            sigma_deg: 0.0,
+            limited_by: None,
+            angle_is_left: false,
+        };
+        ServoEnd::Contradicted { why, last }
     }
 
     /// Some inliers are fixed to the camera: the next frame is seen without them.

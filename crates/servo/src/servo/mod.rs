@@ -14,6 +14,7 @@ pub(crate) mod hand_over;
 pub(crate) mod missing;
 pub(crate) mod options;
 mod reach;
+pub(crate) mod refit;
 pub(crate) mod run;
 mod sight;
 mod state;
@@ -42,6 +43,12 @@ impl Servo {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<ServoEnd>, ServoError> {
+        // As well as moves have shown it to be known.
+        let view_calibration = &*self.watch.believed(task.view_calibration);
+        let task = &ServoTask {
+            view_calibration,
+            ..*task
+        };
         let mut test = self.criteria(task, scope);
         self.convergence.rest(&test, scope)?;
         let present = scope.gate().position()?;
@@ -60,8 +67,8 @@ impl Servo {
         let event = sight.event(task, self.convergence.iteration, velocity, passes);
         tell(scope, sink, event);
         // Did the last move do what it was to do?
-        if let Some(end) = self.contradicted(task, scope, &sight) {
-            return Ok(Progress::Done(end));
+        if let Some(progress) = self.contradicted(task, scope, sink, &sight) {
+            return Ok(progress);
         }
         // Is it the specimen, and the only place that looks like this?
         let (located, passes) = match self.believe(task, &test, &sight, passes) {

@@ -3,6 +3,7 @@
 use super::convergence::Convergence;
 use super::expected::Expected;
 use super::watch::Watch;
+use crate::PoseError;
 use crate::proof::Proof;
 use serde::{Deserialize, Serialize};
 
@@ -17,4 +18,7 @@ pub struct Servo {
     /// The stage cannot turn as far as the target is turned, and may leave that.
     #[serde(default)]
     pub(super) leaves_angle: bool,
+    /// The error where the target was last seen, before a move that lost it.
+    #[serde(default)]
+    pub(super) last_seen: Option<PoseError>,
 }

@@ -1,12 +1,14 @@
 //! The camera as an encoder: what a move was to do, against what the next frame shows of it.
 
+use super::refit::{Refit, Remark};
 use crate::law::error_after;
 use crate::{
     Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity, motion_between,
 };
 use scopeservo_geometry::{Mat2, Vec2};
-use scopeservo_scope::{Axis, Kinematics};
+use scopeservo_scope::{Axis, Kinematics, ObjectiveId};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// What lies within so many standard deviations and a pixel of the view is what was promised; angles within so much, rad.
 const SIGMAS: f64 = 4.0;
@@ -35,8 +37,9 @@ pub(crate) struct Promise {
     /// Where the stage stood, and where it was sent.
     before: PlanarPose,
     goal: PlanarPose,
-    /// The error before.
+    /// The error before, and after it.
     from: PoseError,
+    to: PoseError,
     /// Standard deviations of the error after it, m for each coordinate, and rad.
     sigma_m: f64,
     sigma_rad: f64,
@@ -51,6 +54,8 @@ pub(crate) enum Kept {
     Drifted,
     /// Not at all.
     No(Contradiction),
+    /// Nothing has moved so far: images may come late.
+    NotYet,
 }
 
 impl Promise {
@@ -71,10 +76,12 @@ impl Promise {
         let arrival_sq = x * x + y * y + (lever_m * turn).powi(2) + play_m * play_m;
         let known_m = mover.view.move_sigma_m(way_m, turned_rad).unwrap_or(0.0);
         let [a, b, angle] = seen.sigma();
+        let motion = motion_between(mover.kinematics, &before, &goal);
         Self {
             before,
             goal,
             from,
+            to: error_after(&from, &motion, mover.view),
             sigma_m: (arrival_sq + known_m * known_m + a * a + b * b + change_m * change_m).sqrt(),
             sigma_rad: f64::hypot(std::f64::consts::SQRT_2 * turn, angle),
         }
@@ -88,7 +95,7 @@ impl Promise {
 
     /// What the next frame says of it. `view_m`: size of its pixels.
     pub(crate) fn kept(&self, seen: &PoseEstimate, mover: &Mover<'_>, view_m: f64) -> Kept {
-        let promised = self.error_at(&self.goal, mover);
+        let promised = self.to;
         let [a, b, angle] = seen.sigma();
         let unsure_m = SIGMAS * (self.sigma_m.powi(2) + a * a + b * b).sqrt() + view_m;
         let unsure_rad = SIGMAS * f64::hypot(self.sigma_rad, angle) + SLACK_RAD;
@@ -101,7 +108,10 @@ impl Promise {
         let sweep_m = 2.0 * DRIFTED_CENTRE_M * (0.5 * turned_rad).sin().abs();
         // What stands or goes the other way explains all of it; a share of the way is what a drifted calibration makes of it, too.
         let cause = self.cause(&seen.error, mover, unsure_m + LEAVES * way_m);
-        let sure = !matches!(cause, Contradiction::Share(_) | Contradiction::Elsewhere);
+        let sure = !matches!(
+            cause,
+            Contradiction::Share(_) | Contradiction::Turned(_) | Contradiction::Elsewhere
+        );
         if sure && DRIFTED_SHARE * way_m > unsure_m {
             return Kept::No(cause);
         }
@@ -111,6 +121,35 @@ impl Promise {
             return Kept::Drifted;
         }
         Kept::No(cause)
+    }
+
+    /// What the move was to change, how far beside that it ended, and by how much the view goes with a rotation centre that lies elsewhere.
+    fn tells(&self, seen: &PoseError, mover: &Mover<'_>) -> (Vec2, Vec2, Mat2) {
+        let promised = self.error_at(&self.goal, mover);
+        let less = |a: Vec2, b: Vec2| [a[0] - b[0], a[1] - b[1]];
+        let centre = mover.view.rotation_centre_m.unwrap_or_default();
+        // The view's place is a linear function of it.
+        let lever = [0, 1].map(|k| {
+            let mut centre = centre;
+            centre[k] += 1.0;
+            let view = Calibration {
+                rotation_centre_m: Some(centre),
+                ..mover.view.clone()
+            };
+            let elsewhere = self.error_at(
+                &self.goal,
+                &Mover {
+                    view: &view,
+                    ..*mover
+                },
+            );
+            less(elsewhere.t_m, promised.t_m)
+        });
+        (
+            less(promised.t_m, self.from.t_m),
+            less(seen.t_m, promised.t_m),
+            Mat2([[lever[0][0], lever[1][0]], [lever[0][1], lever[1][1]]]),
+        )
     }
 
     /// The simplest of what explains an error to within `leaves_m` of the view.
@@ -144,6 +183,16 @@ impl Promise {
             off_m.max(size_m * off_rad)
         };
         let swapped = Mat2([[0.0, 1.0], [1.0, 0.0]]);
+        let gone_m = [0, 1].map(|k| seen.t_m[k] - self.from.t_m[k]);
+        let turned = direction(gone_m) - direction(way_m);
+        let beside = PoseError {
+            t_m: {
+                let way_m = Mat2::rotation(turned) * way_m;
+                [0, 1].map(|k| self.from.t_m[k] + way_m[k])
+            },
+            ..goal
+        };
+        let (off_m, off_rad) = apart(&beside, seen);
         let [x, y] = by;
         let mut causes = vec![
             (Contradiction::NothingMoved, left([0.0; 2], 0.0)),
@@ -166,6 +215,11 @@ impl Promise {
             (Contradiction::AxisReversed(Axis::Rz), left(by, -turn)),
             (Contradiction::Swapped, left([y, x], turn)),
         ];
+        if turned.sin().abs() > DRIFTED_SHARE {
+            let turned = turned.sin().atan2(turned.cos());
+            let left_m = off_m.max(size_m * off_rad);
+            causes.push((Contradiction::Turned(turned), left_m));
+        }
         let shares = (1..=60).map(|k| 0.05 * f64::from(k));
         causes.extend(shares.map(|s| (Contradiction::Share(s), left([s * x, s * y], s * turn))));
         let best = causes.iter().map(|c| c.1).fold(f64::INFINITY, f64::min);
@@ -183,29 +237,66 @@ fn apart(a: &PoseError, b: &PoseError) -> (f64, f64) {
     (distance, turn.sin().atan2(turn.cos()).abs())
 }
 
+fn direction([x, y]: Vec2) -> f64 {
+    y.atan2(x)
+}
+
+/// How far moves are trusted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Trust {
+    /// As far as the calibration supports them.
+    #[default]
+    Whole,
+    /// A move has lost the target, and the stage went back. The next one is a small step of x and y, which shows them alone.
+    Shift,
+    /// They do what they are to do: the next one turns a little, which shows the rotation centre.
+    Turn,
+    /// That is known as well.
+    Regained,
+}
+
 /// The last promise, and how those before it were kept.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Watch {
     pub(crate) promise: Option<Promise>,
-    /// Promises in a row that were not kept, and why the first was not.
-    broken: Option<(u8, Contradiction)>,
-    /// The target was lost by a move: the stage went back, and goes on in small steps until one does what it is to do.
-    wary: Option<bool>,
+    /// Promises in a row that were not kept, and why, where something was seen of it.
+    broken: Option<(u8, Option<Contradiction>)>,
+    #[serde(default)]
+    trust: Trust,
+    /// Frames since the last move in which nothing had moved yet.
+    #[serde(default)]
+    looks: u8,
+    /// The promise is that of another leg, and says nothing of this one's calibration.
+    #[serde(default)]
+    handed: bool,
+    /// The target may only be out of this leg's view: who goes back loses what the next one is about to see.
+    #[serde(default)]
+    stays: bool,
+    #[serde(default)]
+    refit: Refit,
+    /// What was seen of the instrument, and went on.
+    #[serde(default)]
+    remarks: Vec<Remark>,
 }
 
-/// A wary step moves the view by this share of its shorter side, and turns it by what moves it as far about a centre of rotation that is wrong
-/// by so much, m.
-const WARY: f64 = 0.1;
-const WARY_CENTRE_M: f64 = 1e-3;
+/// A small step moves the view by this share of its shorter side: x and y of the stage by these shares of it, which are not the same.
+const SMALL: f64 = 0.1;
+const BOTH: [f64; 2] = [0.86, 0.51];
 
 /// So many moves in a row may contradict what is seen before nothing moves any more.
 const BROKEN: u8 = 2;
+/// So many more frames are looked at before it is said that nothing moved.
+const LOOKS: u8 = 8;
 
 impl Watch {
-    /// Of a move that was made before.
-    pub(crate) fn of(promise: Option<Promise>) -> Self {
+    /// In another leg. `first`: its objective has not seen the target yet.
+    pub(crate) fn handed_over(self, first: bool) -> Self {
         Self {
-            promise,
+            promise: self.promise,
+            broken: self.broken,
+            handed: self.promise.is_some(),
+            stays: first,
             ..Self::default()
         }
     }
@@ -217,57 +308,141 @@ impl Watch {
         mover: &Mover<'_>,
         view_m: f64,
     ) -> Option<Kept> {
-        let kept = self.promise.take()?.kept(seen, mover, view_m);
+        let promise = self.promise.take()?;
+        let kept = promise.kept(seen, mover, view_m);
+        let looks = std::mem::take(&mut self.looks);
+        let handed = std::mem::take(&mut self.handed);
         match kept {
-            Kept::Yes => (self.broken, self.wary) = (None, self.wary.map(|_| false)),
-            Kept::Drifted => self.broken = None,
-            Kept::No(why) => {
-                let (before, first) = self.broken.unwrap_or((0, why));
-                // What is said later was seen nearer to, unless it says less: of one axis alone nobody can tell that the other moves.
-                let why = if why.says() < first.says() {
-                    first
-                } else {
-                    why
-                };
-                self.broken = Some((before + 1, why));
+            Kept::No(Contradiction::NothingMoved) if looks < LOOKS => {
+                (self.promise, self.looks, self.handed) = (Some(promise), looks + 1, handed);
+                return Some(Kept::NotYet);
+            }
+            Kept::No(why) => self.breaks(Some(why)),
+            // It moved, and was not shown at once.
+            _ if looks > 0 => self.broken = Some((BROKEN, Some(Contradiction::Late(looks)))),
+            _ => {
+                self.mends(&mover.view.objective);
+                let (way_m, off_m, lever) = promise.tells(&seen.error, mover);
+                match handed {
+                    // It was another objective's calibration that made it.
+                    true if kept == Kept::Drifted => self.remarks.push(Remark::Beside {
+                        objective: mover.view.objective.clone(),
+                        um: 1e6 * apart(&promise.to, &seen.error).0,
+                    }),
+                    true => {}
+                    false => self.refit.take(way_m, off_m, lever, promise.sigma_m),
+                }
+                let drifts = kept == Kept::Drifted && !handed;
+                if drifts && !std::mem::replace(&mut self.refit.drifted, true) {
+                    self.remarks
+                        .extend(self.refit.remark(&mover.view.objective));
+                }
             }
         }
         Some(kept)
     }
 
+    fn breaks(&mut self, why: Option<Contradiction>) {
+        let (count, first) = self.broken.unwrap_or_default();
+        let both = first.zip(why).map(|(first, why)| first.and(why));
+        self.broken = Some((count + 1, both.or(why).or(first)));
+    }
+
+    fn mends(&mut self, objective: &ObjectiveId) {
+        self.trust = match self.trust {
+            Trust::Shift => Trust::Turn,
+            Trust::Turn => Trust::Regained,
+            trust => trust,
+        };
+        if let Some((_, why)) = self.broken.take() {
+            self.remarks.push(Remark::Contradicted {
+                objective: objective.clone(),
+                why: why.map_or(Contradiction::Elsewhere, Contradiction::once),
+            });
+        }
+    }
+
+    /// Takes a scale that is not that of the calibrations.
+    pub(crate) fn scaled(&mut self, objective: &ObjectiveId, factor: f64) {
+        let objective = objective.clone();
+        self.remarks
+            .push(Remark::ScalesDisagree { objective, factor });
+    }
+
+    /// What was seen of the instrument, as it is known now, in the order in which it was seen.
+    pub(crate) fn remarks(&self) -> Vec<Remark> {
+        let now = |remark: &Remark| match remark {
+            Remark::Drifted { objective, .. } => self.refit.remark(objective),
+            _ => None,
+        };
+        let all = self.remarks.iter();
+        all.map(|r| now(r).unwrap_or_else(|| r.clone())).collect()
+    }
+
+    /// A calibration as well as moves have shown it to be known.
+    pub(crate) fn believed<'a>(&self, view: &'a Calibration) -> Cow<'a, Calibration> {
+        self.refit.believed(view)
+    }
+
     /// Why the last move did not do what it was to do, where that shows.
     pub(crate) fn suspects(&self) -> Option<Contradiction> {
-        let named = self.broken.map(|(_, why)| why);
+        let named = self.broken.and_then(|(_, why)| why);
         named.filter(|why| *why != Contradiction::Elsewhere)
     }
 
     /// Where to go back to, after a move by which the target was lost; once.
     pub(crate) fn turns_back(&mut self) -> Option<(PlanarPose, PoseError)> {
-        let promise = self.promise.filter(|_| self.wary.is_none())?;
-        (self.promise, self.wary) = (None, Some(true));
-        let (count, why) = self.broken.unwrap_or((0, Contradiction::Elsewhere));
-        self.broken = Some((count + 1, why));
+        let may = self.trust == Trust::Whole && !self.stays;
+        let promise = self.promise.take_if(|_| may)?;
+        (self.trust, self.handed) = (Trust::Shift, false);
+        self.breaks(None);
         Some((promise.before, promise.from))
+    }
+
+    /// The stage went back, and the target is not seen any more, there or after a small step: what contradicts the moves.
+    pub(crate) fn not_there_any_more(&self) -> Option<Contradiction> {
+        self.is_wary().then(|| self.why())
+    }
+
+    /// Whether the last moves did what they were to do: only then may another objective take over.
+    pub(crate) fn trusts(&self) -> bool {
+        !self.is_wary() && self.broken.is_none()
+    }
+
+    fn is_wary(&self) -> bool {
+        matches!(self.trust, Trust::Shift | Trust::Turn)
     }
 
     /// As much of a velocity as may be tried.
     pub(crate) fn limited(&self, velocity: Velocity, view: &Calibration) -> Velocity {
-        if self.wary != Some(true) {
-            return velocity;
+        let reach_m = SMALL * view.shorter_side_m();
+        let theta_rad = velocity.theta_rad;
+        match self.trust {
+            Trust::Whole | Trust::Regained => velocity,
+            Trust::Shift => {
+                let camera = view.stage_from_camera();
+                let way = camera * velocity.t_m;
+                let small = [0, 1].map(|k| way[k].signum() * BOTH[k] * reach_m);
+                Velocity {
+                    t_m: camera.transpose() * small,
+                    theta_rad: 0.0,
+                }
+            }
+            Trust::Turn => Velocity {
+                theta_rad: theta_rad.signum() * theta_rad.abs().min(reach_m / DRIFTED_CENTRE_M),
+                ..velocity
+            },
         }
-        let reach_m = WARY * view.shorter_side_m();
-        let [x, y] = velocity.t_m;
-        let way_m = f64::hypot(x, y).max(WARY_CENTRE_M * velocity.theta_rad.abs());
-        let share = (reach_m / way_m).min(1.0);
-        Velocity {
-            t_m: velocity.t_m.map(|v| share * v),
-            theta_rad: share * velocity.theta_rad,
-        }
+    }
+
+    fn why(&self) -> Contradiction {
+        let why = self.broken.and_then(|(_, why)| why);
+        why.unwrap_or(Contradiction::Elsewhere)
     }
 
     /// Why nothing may move any more.
     pub(crate) fn stops(&self) -> Option<Contradiction> {
         let broken = self.broken.filter(|(count, _)| *count >= BROKEN);
-        broken.map(|(_, why)| why)
+        broken.map(|_| self.why())
     }
 }

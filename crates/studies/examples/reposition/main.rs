@@ -2,16 +2,20 @@
 //!
 //! `cargo run --release -p scopeservo-studies --example reposition -- --count 200`
 //!
+//! `... -- faults --count 20` breaks one thing in each run; `... -- disturbance --count 20` disturbs the view.
+//!
 //! Instruments are calibrated once, focus is found anew, and every run is kept as a line of its own: a study that was broken off goes on.
 //! `SCOPESERVO_SPECIMENS` gives real slides; without it the tissue is procedural. Exit code 1 when an answer was wrong.
 
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
+mod disturbance;
+mod faults;
 mod scene;
 mod table;
 mod whole;
 
-use clap::Parser;
+use clap::{Parser, Subcommand};
 use scopeservo_servo::Law;
 use scopeservo_studies::rounds::{Outcome, rounds, threads};
 use std::fs;
@@ -20,21 +24,43 @@ use std::path::PathBuf;
 /// Whole runs from random starts.
 #[derive(Parser)]
 struct Args {
-    /// Runs.
-    #[arg(long, default_value_t = 200)]
+    #[command(subcommand)]
+    study: Option<Study>,
+    /// Runs; of each kind where there are several.
+    #[arg(long, global = true, default_value_t = 200)]
     count: u64,
     /// Only this one, with what happens.
-    #[arg(long)]
+    #[arg(long, global = true)]
     only: Option<u64>,
     /// direct, or proportional: a fifth of the error at a time, at every magnification.
     #[arg(long, default_value = "direct", value_parser = law)]
     law: Law,
     /// Threads; all processors unless told.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, global = true, default_value_t = 0)]
     threads: usize,
     /// Where calibrations and runs are kept; what lies there is not made again. A new folder for a new build.
-    #[arg(long, default_value = "target/reposition")]
+    #[arg(long, global = true, default_value = "target/reposition")]
     out: PathBuf,
+}
+
+/// What else may be studied.
+#[derive(Subcommand)]
+enum Study {
+    /// Something of the instrument is broken, one thing in each run: was it told, and where did it end?
+    Faults {
+        /// Only those whose names have this in them.
+        #[arg(long, default_value = "")]
+        named: String,
+    },
+    /// The view is disturbed, in one way or in two, after it was saved: is it found, and how well?
+    Disturbance {
+        /// Two ways at a time.
+        #[arg(long)]
+        pairs: bool,
+        /// Only those whose names have this in them.
+        #[arg(long, default_value = "")]
+        named: String,
+    },
 }
 
 fn law(text: &str) -> Result<Law, String> {
@@ -45,6 +71,24 @@ fn main() -> Outcome<()> {
     let args = Args::parse();
     fs::create_dir_all(&args.out)?;
     let known = scene::calibrations(&args.out)?;
+    if let Some(study) = &args.study {
+        let many = faults::Many {
+            count: args.count,
+            only: args.only,
+            threads: threads(args.threads)?,
+            out: &args.out,
+        };
+        let wrong = match study {
+            Study::Faults { named } => faults::study(&many, named, &known)?,
+            Study::Disturbance { pairs, named } => {
+                disturbance::study(&many, (*pairs, named), &known)?
+            }
+        };
+        if wrong > 0 {
+            std::process::exit(1);
+        }
+        return Ok(());
+    }
     let run =
         |index: u64, trace: bool| whole::run(&scene::draw(index), index, &known, args.law, trace);
     let records = match args.only {

@@ -1,7 +1,9 @@
 //! An instrument, a specimen, a place on it, and how the slide is put back: all from a number.
 
 use scopeservo_geometry::SplitMix64;
-use scopeservo_scope::{CancelToken, Clock, Instrument, ObjectiveId, VirtualClock};
+use scopeservo_scope::{
+    Camera, CancelToken, Clock, Devices, Instrument, ObjectiveId, VirtualClock,
+};
 use scopeservo_servo::{
     Bring, Calibrate, CalibrateOptions, Calibration, FocusOptions, NoSink, VisionOptions, run,
 };
@@ -50,6 +52,8 @@ pub(crate) struct Scene {
     pub(crate) noise: f64,
     /// Which objective is in when the run begins.
     pub(crate) begins_with: &'static str,
+    /// The target's.
+    pub(crate) saved_with: &'static str,
 }
 
 pub(crate) fn draw(index: u64) -> Scene {
@@ -84,6 +88,7 @@ pub(crate) fn draw(index: u64) -> Scene {
         } else {
             "10x"
         },
+        saved_with: "40x",
     }
 }
 
@@ -114,6 +119,16 @@ impl Bench {
         noise: f64,
         specimen: Arc<dyn Specimen>,
     ) -> Outcome<Self> {
+        Self::seen_by((kind, seed), noise, specimen, |camera| camera)
+    }
+
+    /// The same through a camera that somebody does something to.
+    pub(crate) fn seen_by(
+        (kind, seed): (Kind, u64),
+        noise: f64,
+        specimen: Arc<dyn Specimen>,
+        camera: impl FnOnce(Box<dyn Camera>) -> Box<dyn Camera>,
+    ) -> Outcome<Self> {
         let mut config = Config::realistic();
         if kind == Kind::Turntable {
             config = config.with_stage(StageConfig::xyz_theta());
@@ -121,7 +136,11 @@ impl Bench {
         config.camera.full_well_e = 0.5 / (noise * noise);
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
         let twin = Twin::new(config, specimen, seed, clock)?;
-        let scope = Instrument::new(twin.devices(), twin.rules(), CancelToken::new())?;
+        let devices = Devices {
+            camera: Some(camera(twin.camera())),
+            ..twin.devices()
+        };
+        let scope = Instrument::new(devices, twin.rules(), CancelToken::new())?;
         Ok(Self { twin, scope })
     }
 }

@@ -4,7 +4,7 @@ use crate::scene::{Bench, Known, Scene, of};
 use scopeservo_scope::{Frame, ObjectiveId};
 use scopeservo_servo::{
     Bring, Event, FocusOptions, FrameRole, Law, Phase, Reposition, RepositionOptions, SaveOptions,
-    SaveTarget, Sink, Stamped, Verdict, VisionOptions, run as steps,
+    SaveTarget, Sink, Stamped, Target, Verdict, VisionOptions, run as steps,
 };
 use scopeservo_studies::rounds::Outcome;
 use scopeservo_twin::Truth;
@@ -89,7 +89,7 @@ impl Sink for Watch {
     }
 }
 
-fn word(value: &impl Serialize) -> Outcome<String> {
+pub(crate) fn word(value: &impl Serialize) -> Outcome<String> {
     Ok(serde_json::to_value(value)?
         .as_str()
         .unwrap_or_default()
@@ -97,13 +97,53 @@ fn word(value: &impl Serialize) -> Outcome<String> {
 }
 
 /// How far two views are apart, um and deg.
-fn apart(a: &Truth, b: &Truth) -> (f64, f64) {
+pub(crate) fn apart(a: &Truth, b: &Truth) -> (f64, f64) {
     let um = f64::hypot(
         a.centre_um[0] - b.centre_um[0],
         a.centre_um[1] - b.centre_um[1],
     );
     let turn = (a.angle_deg - b.angle_deg + 180.0).rem_euclid(360.0) - 180.0;
     (um, turn.abs())
+}
+
+/// A view was saved, and the slide was put back elsewhere.
+pub(crate) struct Start {
+    pub(crate) bench: Bench,
+    pub(crate) target: Target,
+    /// Where the target truly is.
+    pub(crate) aim: Truth,
+}
+
+/// Saves, and puts the slide back elsewhere. The inner result has the reason why nothing was saved.
+pub(crate) fn begin(scene: &Scene, bench: Bench) -> Outcome<Result<Start, String>> {
+    let mut watch = Watch::default();
+    let bring = |id: &str, watch: &mut Watch| {
+        let id = ObjectiveId(id.into());
+        let focus = Some(FocusOptions::default());
+        let mut bring = Bring::new(id, focus, VisionOptions::default());
+        steps(&mut bring, &bench.scope, watch)
+    };
+    bench.twin.centre_specimen(scene.target_um, 0.0);
+    let saved = bring(scene.saved_with, &mut watch).and_then(|_| {
+        let mut save = SaveTarget::new(SaveOptions::default());
+        steps(&mut save, &bench.scope, &mut watch)
+    });
+    let target = match saved {
+        Ok(target) => target,
+        Err(refusal) => return Ok(Err(refusal.to_string())),
+    };
+    let aim = watch.target.and_then(|s| bench.twin.truth(s));
+    let aim = aim.ok_or("the twin forgot the target")?;
+    if scene.begins_with != scene.saved_with {
+        bring(scene.begins_with, &mut watch)?;
+    }
+    let [x, y] = scene.start_um;
+    let (s, c) = scene.turn_deg.to_radians().sin_cos();
+    let shift_um = [s * y - c * x, -s * x - c * y];
+    bench
+        .twin
+        .remount(scene.target_um, shift_um, scene.turn_deg, false);
+    Ok(Ok(Start { bench, target, aim }))
 }
 
 /// Saves, puts the slide back elsewhere, and comes back.
@@ -116,7 +156,6 @@ pub(crate) fn run(
 ) -> Outcome<Record> {
     let (name, specimen) = scene.specimen()?;
     let bench = Bench::new((scene.kind, scene.seed), scene.noise, specimen)?;
-    let mut watch = Watch::default();
     let mut record = Record {
         index,
         stage: format!("{:?}", scene.kind),
@@ -127,37 +166,15 @@ pub(crate) fn run(
         noise: scene.noise,
         ..Record::default()
     };
-    let bring = |id: &str, watch: &mut Watch| {
-        let id = ObjectiveId(id.into());
-        let focus = Some(FocusOptions::default());
-        let mut bring = Bring::new(id, focus, VisionOptions::default());
-        steps(&mut bring, &bench.scope, watch)
-    };
-    bench.twin.centre_specimen(scene.target_um, 0.0);
-    let saved = bring("40x", &mut watch).and_then(|_| {
-        let mut save = SaveTarget::new(SaveOptions::default());
-        steps(&mut save, &bench.scope, &mut watch)
-    });
-    let target = match saved {
-        Ok(target) => target,
+    let Start { bench, target, aim } = match begin(scene, bench)? {
+        Ok(start) => start,
         Err(refusal) => {
-            (record.verdict, record.message) = ("refused_at_saving".into(), refusal.to_string());
+            (record.verdict, record.message) = ("refused_at_saving".into(), refusal);
             return Ok(record);
         }
     };
     record.features = target.features.len();
-    let aim = watch.target.and_then(|s| bench.twin.truth(s));
-    let aim = aim.ok_or("the twin forgot the target")?;
-    if scene.begins_with != "40x" {
-        bring(scene.begins_with, &mut watch)?;
-    }
-    let [x, y] = scene.start_um;
-    let (s, c) = scene.turn_deg.to_radians().sin_cos();
-    let shift_um = [s * y - c * x, -s * x - c * y];
-    bench
-        .twin
-        .remount(scene.target_um, shift_um, scene.turn_deg, false);
-    watch = Watch {
+    let mut watch = Watch {
         trace,
         ..Watch::default()
     };

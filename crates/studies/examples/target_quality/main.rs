@@ -95,6 +95,7 @@ fn one(index: u64, known: &[Known]) -> Outcome<Record> {
         turn_deg: within(175.0),
         noise: 0.0025 * f64::powf(4.0, 0.5 + within(0.5)),
         begins_with: "10x",
+        saved_with: "40x",
     };
     let bench = Bench::new((scene.kind, scene.seed), scene.noise, Arc::new(smear))?;
     let (scope, vision) = (&bench.scope, VisionOptions::default());

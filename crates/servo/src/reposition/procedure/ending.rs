@@ -1,9 +1,9 @@
 //! How a run goes on after a loop, or ends.
 
-use super::super::{Left, MagnificationResult, Outcome, Reason, Verdict, words};
-use super::Reposition;
-use crate::{ServoEnd, ServoError, Target};
-use scopeservo_scope::{Instrument, ScopeError};
+use super::super::{Left, Leg, MagnificationResult, Outcome, Reason, Verdict, words};
+use super::{Reposition, State, Work};
+use crate::{ErrorKind, Identify, Identity, Progress, ServoEnd, ServoError, Target};
+use scopeservo_scope::{Instrument, ObjectiveId, ScopeError};
 
 impl Reposition {
     /// The answer when a loop's end is the run's end. A target that was seen and lost again may be seen better by the next objective.
@@ -11,7 +11,7 @@ impl Reposition {
         &mut self,
         scope: &Instrument,
         target: &Target,
-        end: &ServoEnd,
+        (leg, end): (Leg, &ServoEnd),
         seen: bool,
     ) -> Option<Outcome> {
         let so_far = self.so_far(scope, target);
@@ -29,8 +29,69 @@ impl Reposition {
                 self.bring(next);
                 None
             }
+            // Before a view is said not to be there: is it seen with the objective that is said to be in?
+            None if matches!(end, ServoEnd::Lost(_)) => {
+                let identify = Identify::new(leg.objective().clone(), self.options.vision.clone());
+                let work = Work::Identify(Box::new(identify));
+                self.state = State::Under { leg, work };
+                None
+            }
             None => Some(self.end(end, target)),
         }
+    }
+
+    /// What a look at the objective says to a target that was not seen.
+    pub(super) fn looked_at(
+        &self,
+        told: &ObjectiveId,
+        seen: Result<Progress<Identity>, ServoError>,
+    ) -> Result<Option<Outcome>, ServoError> {
+        let target = self.target()?;
+        let not_found = || self.done.last().map(|d| self.end(&d.end, &target));
+        match seen {
+            Ok(Progress::Continue) => Ok(None),
+            Ok(Progress::Done(identity)) if !identity.as_told => Err(ServoError::WrongObjective {
+                told: told.clone(),
+                looks_like: identity.looks_like,
+                um_per_px: identity.um_per_px,
+            }),
+            Err(error @ ServoError::PictureStays { .. }) => Err(error),
+            Err(error) if matches!(error.kind(), ErrorKind::Interruption | ErrorKind::Fault) => {
+                Err(error)
+            }
+            // It is, or that could not be seen either.
+            Ok(Progress::Done(_)) | Err(_) => Ok(not_found()),
+        }
+    }
+
+    /// What contradicts the stage's moves ends where the run began, on axes that were seen to obey; else the stage stands still.
+    pub(super) fn go_back(&self, scope: &Instrument, end: &ServoEnd) -> Result<(), ServoError> {
+        match end {
+            ServoEnd::Contradicted { why, .. } if !why.leaves_standing() => {
+                self.to_the_start(scope)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The same where the camera shows nothing any more, and the stage says that it obeys.
+    pub(super) fn withdraw(
+        &self,
+        scope: &Instrument,
+        error: &ServoError,
+    ) -> Result<(), ServoError> {
+        match error {
+            ServoError::Scope(ScopeError::Frozen { .. }) => self.to_the_start(scope),
+            _ => Ok(()),
+        }
+    }
+
+    fn to_the_start(&self, scope: &Instrument) -> Result<(), ServoError> {
+        if let Some(began) = self.began {
+            let present = scope.gate().position()?;
+            scope.move_to(&began.request(&present))?;
+        }
+        Ok(())
     }
 
     /// The answer that the end of the last loop means.
@@ -38,7 +99,10 @@ impl Reposition {
         let at = self.done.last().map_or(0.0, |d| d.magnification);
         let seen_below = self.done.iter().any(|d| d.magnification < at);
         let left = self.left(end, target);
-        let (verdict, reason, message) = words::answer_of(end, at, seen_below, left.as_ref());
+        let (verdict, reason, mut message) = words::answer_of(end, at, seen_below, left.as_ref());
+        if !matches!(end, ServoEnd::Contradicted { .. }) {
+            message.push_str(&words::remarks(&self.remarks));
+        }
         Outcome {
             angle_left_deg: left.map(|l| l.angle_deg),
             in_view: left.map(|l| l.in_view),
@@ -75,6 +139,7 @@ impl Reposition {
             angle_left_deg: None,
             in_view: None,
             missing: None,
+            remarks: self.remarks.clone(),
             unique_within_um: self.done.iter().map(view_um).max_by(wider),
             magnifications: self.done.clone(),
         }

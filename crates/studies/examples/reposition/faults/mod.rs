@@ -1,0 +1,51 @@
+//! Runs in which one thing of the instrument is broken. The twin's truth judges, which the run never sees.
+
+mod kinds;
+mod page;
+mod run;
+
+use crate::scene::Known;
+use run::Record;
+use scopeservo_studies::rounds::{Outcome, rounds};
+use std::fs;
+use std::path::Path;
+
+/// How many runs, and where they are kept.
+pub(crate) struct Many<'a> {
+    pub(crate) count: u64,
+    pub(crate) only: Option<u64>,
+    pub(crate) threads: usize,
+    pub(crate) out: &'a Path,
+}
+
+/// Runs of one kind have numbers from this times the kind's on.
+const EACH: u64 = 100_000;
+
+/// Makes the runs, their table and their page; returns how many ended as none may.
+pub(crate) fn study(many: &Many<'_>, named: &str, known: &[Known]) -> Outcome<usize> {
+    let kinds = kinds::all();
+    let of = |index: u64| &kinds[(index / EACH) as usize];
+    let one = |index: u64, trace: bool| run::run(of(index), index, index % EACH, known, trace);
+    if let Some(index) = many.only {
+        println!("{}", serde_json::to_string_pretty(&one(index, true)?)?);
+        return Ok(0);
+    }
+    let asked = kinds
+        .iter()
+        .enumerate()
+        .filter(|(_, k)| k.name.contains(named));
+    let numbers: Vec<u64> = asked
+        .flat_map(|(k, _)| (0..many.count).map(move |n| k as u64 * EACH + n))
+        .collect();
+    let path = many.out.join("faults.jsonl");
+    let records = rounds(
+        &path,
+        &numbers,
+        many.threads,
+        |r: &Record| r.index,
+        |k| one(k, false),
+    )?;
+    let wrong = page::print(&kinds, &records);
+    fs::write(many.out.join("faults.html"), page::page(&kinds, &records))?;
+    Ok(wrong)
+}
