@@ -53,6 +53,16 @@ pub enum NotFound {
         /// log10 of the expected number of such agreements between unrelated images; `None` when they prove nothing.
         log10_nfa: Option<f64>,
     },
+    /// The features agree, and the pixels do not.
+    #[error(
+        "the features agree, but of {asked} places with structure only {agree} look as they should: it is another place that looks alike, or most of the view is covered"
+    )]
+    PixelsDisagree {
+        /// Blocks of pixels that have structure.
+        asked: usize,
+        /// Those that lie where they should.
+        agree: usize,
+    },
     /// The matches agree, but leave the transform open.
     #[error("the agreeing matches leave a view corner uncertain by {corner_sigma_px:.1} target px")]
     Uncertain {

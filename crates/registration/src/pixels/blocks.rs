@@ -4,15 +4,17 @@ use super::matched::Matched;
 use scopeservo_geometry::{Affine2, Vec2};
 
 /// Of a region this many columns and rows of sectors give their best block each.
-const SECTORS: [usize; 2] = [18, 14];
+const SECTORS: [usize; 2] = [12, 9];
 /// A block has structure when its gradients hold this many times what noise alone does to them.
-const STRUCTURED: f64 = 2.5;
+const STRUCTURED: f64 = 1.6;
 /// and at least this, for values from 0 to 1: less is rounding.
 const LEAST: f64 = 1e-7;
 /// Of a block's pixels at least this share counts.
 const COUNTS: f64 = 0.15;
 /// Pixels are tried for structure in steps of this.
-const TRIED: usize = 2;
+const TRIED: usize = 3;
+/// Of a large image's grid only some blocks are tried, about so many.
+const MOST: usize = 1500;
 
 /// Where a block begins, and how much structure it has.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,8 +40,9 @@ pub(super) fn structured(
 ) -> Vec<Block> {
     let [width, height] = matched.fixed.size();
     let noise = matched.fixed.noise_of_gradient();
+    let apart = side * (width * height).div_ceil(MOST * side * side).isqrt().max(1);
     let along =
-        |length: usize| (margin + 1..(length.saturating_sub(side + margin + 1))).step_by(side);
+        |length: usize| (margin + 1..(length.saturating_sub(side + margin + 1))).step_by(apart);
     let mut found = Vec::new();
     for y in along(height) {
         for x in along(width) {

@@ -16,17 +16,14 @@ const SIDE: usize = 24;
 const AROUND: usize = 6;
 /// and within so far of it is there.
 const THERE: usize = 1;
-/// A block's pixels are looked at in steps of this: the images are blurred.
+/// A block's pixels are compared in steps of this: they are blurred.
 const STEP: usize = 2;
-/// Blur of both images: noise and what is not quite in focus count less.
-const BLUR: Softer = Softer {
-    fixed_px: 1.0,
-    looked_px: 1.0,
-};
+/// Both are blurred by 1 2 1 along rows and columns so often: noise and what is not quite in focus count less.
+const BLURS: usize = 2;
 /// A block that correlates less than this agrees with nothing.
 const LEAST_CORRELATION: f64 = 0.5;
 /// Of the blocks under a wrong transform at most this share agrees.
-const CHANCE: f64 = 0.12;
+const CHANCE: f64 = 0.05;
 /// It is evidence where so many agreeing blocks would come up by chance less than once in a million times,
 const AGREES: f64 = -6.0;
 /// and evidence against a transform where they come up once in a hundred,
@@ -123,14 +120,14 @@ fn judgement(asked: usize, log10_chance: Option<f64>) -> Judgement {
 
 /// All blocks, each with its structure.
 fn asked(pictures: &Pictures<'_>, target_from_view: &Affine2) -> Vec<(Witness, f64)> {
-    let Some(matched) = Matched::new(pictures, target_from_view, BLUR) else {
+    let Some(matched) = Matched::new(pictures, target_from_view, Softer::default()) else {
         return Vec::new();
     };
     let Some(at) = matched.looked_from_fixed(target_from_view) else {
         return Vec::new();
     };
     let mut window = Window::default();
-    spread(&structured(&matched, &at, SIDE, AROUND))
+    spread(&structured(&matched, &at, SIDE, AROUND + BLURS))
         .iter()
         .filter_map(|block| Some((window.ask(&matched, &at, block)?, block.energy)))
         .collect()
@@ -140,35 +137,44 @@ fn asked(pictures: &Pictures<'_>, target_from_view: &Affine2) -> Vec<(Witness, f
 #[derive(Default)]
 struct Window {
     value: Vec<f32>,
+    /// The block itself, with what its blur reaches.
+    own: Vec<f32>,
     /// Of the block's pixels that count: where they lie in the window, and their values.
     index: Vec<usize>,
     block: Vec<f32>,
 }
 
-/// Side of a window.
-const WIDE: usize = SIDE + 2 * AROUND;
+/// Sides of the window and of the block, with what their blur reaches.
+const WIDE: usize = SIDE + 2 * (AROUND + BLURS);
+const OWN: usize = SIDE + 2 * BLURS;
 
 impl Window {
-    /// `None` where too little of it counts.
+    /// `None` where nothing of it counts.
     fn ask(&mut self, matched: &Matched<'_>, at: &Affine2, block: &Block) -> Option<Witness> {
         let [x, y] = block.corner;
-        self.value.clear();
         let [[along_x, _], [along_y, _]] = at.linear.0;
-        for row in 0..WIDE {
-            let first = [x as f64 - AROUND as f64, (y + row) as f64 - AROUND as f64];
-            let [qx, qy] = at.apply(first);
-            let place = |t: f64| [qx + t * along_x, qy + t * along_y];
-            let values = (0..WIDE).map(|column| matched.looked.at(place(column as f64)));
-            self.value.extend(values);
+        self.value.resize(WIDE * WIDE, 0.0);
+        let [left, top] = [x, y].map(|v| v as f64 - (AROUND + BLURS) as f64);
+        for (row, values) in self.value.chunks_exact_mut(WIDE).enumerate() {
+            let from = at.apply([left, top + row as f64]);
+            matched.looked.along(from, [along_x, along_y], values);
         }
+        soften(&mut self.value, WIDE);
+        self.own.clear();
+        for row in y - BLURS..y - BLURS + OWN {
+            let columns = x - BLURS..x - BLURS + OWN;
+            self.own
+                .extend(columns.map(|column| matched.fixed.on_pixel(column, row)[0]));
+        }
+        soften(&mut self.own, OWN);
         (self.index.clear(), self.block.clear());
         for row in (0..SIDE).step_by(STEP) {
             for column in (0..SIDE).step_by(STEP) {
                 let p = [(x + column) as f64, (y + row) as f64];
                 if !matched.is_masked() || matched.counts(p, at.apply(p)) {
-                    self.index.push(row * WIDE + column);
-                    let [value, ..] = matched.fixed.on_pixel(x + column, y + row);
-                    self.block.push(value);
+                    self.index.push((row + BLURS) * WIDE + column + BLURS);
+                    self.block
+                        .push(self.own[(row + BLURS) * OWN + column + BLURS]);
                 }
             }
         }
@@ -217,6 +223,29 @@ impl Window {
         match variance > 1e-12 {
             true => product / (variance * energy).sqrt(),
             false => 0.0,
+        }
+    }
+}
+
+/// Blurs a square by 1 2 1 along rows and columns; its edge is left as it is.
+fn soften(values: &mut [f32], side: usize) {
+    let blur = |a: f32, b: f32, c: f32| 0.25 * (a + c) + 0.5 * b;
+    for _ in 0..BLURS {
+        for row in values.chunks_exact_mut(side) {
+            let mut before = row[0];
+            for x in 1..side - 1 {
+                let here = row[x];
+                row[x] = blur(before, here, row[x + 1]);
+                before = here;
+            }
+        }
+        let mut before = values[..side].to_vec();
+        for y in 1..side - 1 {
+            for x in 0..side {
+                let (k, here) = (y * side + x, values[y * side + x]);
+                values[k] = blur(before[x], here, values[k + side]);
+                before[x] = here;
+            }
         }
     }
 }

@@ -16,7 +16,7 @@ const GAIN: f64 = 3.0;
 /// The usual residual is found from each so many-th pixel.
 const EACH: usize = 5;
 
-/// After so many looks a block that does not follow is left out for good.
+/// After so many steps a block that does not follow is left out for good.
 const SETTLED: usize = 3;
 
 /// Unknowns: shift along x and y, stretch and turn, all in pixels of the coarser image; the last two at `radius` from the middle.
@@ -25,7 +25,7 @@ pub(super) const UNKNOWNS: usize = 4;
 /// Blocks of the coarser image, pixel after pixel.
 pub(super) struct Template {
     pub(super) blocks: Vec<Block>,
-    side: usize,
+    pub(super) side: usize,
     /// What stretching and turning are about.
     pub(super) middle: Vec2,
     radius: f64,
@@ -49,8 +49,11 @@ pub(super) struct Agreement {
 pub(super) struct Look {
     value: Vec<f32>,
     weight: Vec<f32>,
+    /// Which blocks lie in the image.
+    seen: Vec<bool>,
     pub(super) agreements: Vec<Agreement>,
-    looks: usize,
+    steps: usize,
+    stepped: bool,
 }
 
 /// What a step says.
@@ -125,53 +128,69 @@ impl Template {
 
     /// Looks up the finer image under a transform. Weights stay from look to look.
     pub(super) fn look(&self, matched: &Matched<'_>, looked_from_fixed: &Affine2, look: &mut Look) {
-        let before = std::mem::take(&mut look.agreements);
         look.value.resize(self.value.len(), 0.0);
         if look.weight.len() != self.value.len() {
-            let weights = self.counts.iter().map(|&c| if c { 1.0 } else { 0.0 });
-            look.weight = weights.collect();
+            look.weight = vec![1.0; self.value.len()];
         }
+        look.seen.clear();
         let [[along_x, _], [along_y, _]] = looked_from_fixed.linear.0;
         for (b, block) in self.blocks.iter().enumerate() {
             let [x, y] = block.corner;
-            if !in_both(matched, looked_from_fixed, block.corner, self.side, 0) {
-                look.agreements.push(Agreement::default());
+            let seen = in_both(matched, looked_from_fixed, block.corner, self.side, 0);
+            look.seen.push(seen);
+            if !seen {
                 continue;
             }
-            let values = &mut look.value[self.pixels(b)];
+            let range = self.pixels(b);
+            let values = &mut look.value[range.clone()];
             for (row, values) in values.chunks_exact_mut(self.side).enumerate() {
-                let [qx, qy] = looked_from_fixed.apply([x as f64, (y + row) as f64]);
-                for (column, value) in values.iter_mut().enumerate() {
-                    let t = column as f64;
-                    *value = matched.looked.at([qx + t * along_x, qy + t * along_y]);
+                let from = looked_from_fixed.apply([x as f64, (y + row) as f64]);
+                matched.looked.along(from, [along_x, along_y], values);
+            }
+            for k in range {
+                if !self.counts[k] || matched.looked.is_clipped(look.value[k]) {
+                    look.weight[k] = 0.0;
                 }
             }
+        }
+        self.agree(look);
+    }
+
+    /// How the blocks agree with what was looked up.
+    pub(super) fn agree(&self, look: &mut Look) {
+        let before = std::mem::take(&mut look.agreements);
+        for (b, &seen) in look.seen.iter().enumerate() {
             let range = self.pixels(b);
-            for (w, v) in look.weight[range.clone()]
-                .iter_mut()
-                .zip(&look.value[range.clone()])
-            {
-                *w = if matched.looked.is_clipped(*v) {
-                    0.0
-                } else {
-                    *w
-                };
-            }
-            let sums = Sums::of(
-                &self.value[range.clone()],
-                &look.value[range.clone()],
-                &look.weight[range],
-            );
-            look.agreements.push(sums.agreement());
+            let sums = || {
+                Sums::of(
+                    &self.value[range.clone()],
+                    &look.value[range.clone()],
+                    &look.weight[range.clone()],
+                )
+            };
+            let agreement = if seen {
+                sums().agreement()
+            } else {
+                Agreement::default()
+            };
+            look.agreements.push(agreement);
         }
         follow(&self.blocks, &mut look.agreements);
-        look.looks += 1;
-        if look.looks > SETTLED {
+        look.steps += usize::from(look.stepped);
+        look.stepped = false;
+        if look.steps > SETTLED {
             // Who comes and goes keeps the rest from coming to rest.
             for (now, before) in look.agreements.iter_mut().zip(before) {
                 now.follows &= before.follows;
             }
         }
+    }
+
+    /// All pixels alike again, as before the first step.
+    pub(super) fn anew(&self, matched: &Matched<'_>, looked_from_fixed: &Affine2, look: &mut Look) {
+        look.weight.fill(1.0);
+        look.steps = 0;
+        self.look(matched, looked_from_fixed, look);
     }
 
     /// Mean correlation of all blocks by their structure.
@@ -223,6 +242,7 @@ impl Template {
 
     /// One step. `None` when the blocks that follow do not determine it.
     pub(super) fn step(&self, matched: &Matched<'_>, look: &mut Look) -> Option<Step> {
+        look.stepped = true;
         let scale = self.scale(look).max(1e-6);
         let cut = TUKEY * scale;
         let mut parts = Vec::with_capacity(self.blocks.len());

@@ -105,9 +105,8 @@ pub enum Abstained {
 /// Why the start is to be kept.
 pub fn refine(pictures: &Pictures<'_>, start: &Estimate) -> Result<Refined, Abstained> {
     let rough = like_similar(start, pictures);
-    let mut at = rough;
     let coarse_px = rough.linear.det().abs().sqrt().max(1.0);
-    let softer = softness(pictures, &rough)?;
+    let (mut descent, softer) = sharp_alike(pictures, &rough)?;
     let unsure_px = 2.0 * start.corner_sigma_px / coarse_px;
     if unsure_px > ROUGH_PX {
         let more = |px: f64| px.max(unsure_px.min(SOFTEST_PX));
@@ -116,11 +115,10 @@ pub fn refine(pictures: &Pictures<'_>, start: &Estimate) -> Result<Refined, Abst
             looked_px: more(softer.looked_px),
         };
         // What only softer images show is no result.
-        at = Descent::of(pictures, &at, first)?
-            .run(false)?
-            .target_from_view;
+        let at = Descent::of(pictures, &rough, first)?.run(false)?;
+        descent = Descent::of(pictures, &at.target_from_view, softer)?;
     }
-    let found = Descent::of(pictures, &at, softer)?.run(true)?;
+    let found = descent.run(true)?;
     judge(pictures, start, &rough, coarse_px, found)
 }
 
@@ -141,6 +139,7 @@ struct Descent<'a> {
     matched: Matched<'a>,
     template: Template,
     at: Affine2,
+    look: Look,
 }
 
 impl<'a> Descent<'a> {
@@ -158,17 +157,28 @@ impl<'a> Descent<'a> {
             side,
         } = ready(pictures, target_from_view, softer, side)?;
         let template = Template::new(&matched, &at, blocks, side);
+        let mut look = Look::default();
+        template.look(&matched, &at, &mut look);
         Ok(Self {
             matched,
             template,
             at,
+            look,
         })
+    }
+
+    /// How well the same blocks correlate in images that are matched otherwise.
+    fn correlation(&self, matched: &Matched<'_>) -> f64 {
+        let (blocks, side) = (self.template.blocks.clone(), self.template.side);
+        let template = Template::new(matched, &self.at, blocks, side);
+        let mut look = Look::default();
+        template.look(matched, &self.at, &mut look);
+        template.correlation(&look)
     }
 
     /// Steps until nothing changes; `toned`: with a tone curve, where that helps.
     fn run(mut self, toned: bool) -> Result<Found, Abstained> {
-        let mut look = Look::default();
-        self.template.look(&self.matched, &self.at, &mut look);
+        let mut look = std::mem::take(&mut self.look);
         if toned {
             self.tone(&mut look);
         }
@@ -193,9 +203,7 @@ impl<'a> Descent<'a> {
             let px = f64::hypot(x, y) + f64::hypot(stretch, turn);
             if px < CLOSE_PX || px < NEAR_PX && step.sigmas < CLOSE_SIGMAS {
                 let target_from_view = self.matched.target_from_view(&self.at);
-                // All pixels alike, as before the first step.
-                look = Look::default();
-                self.template.look(&self.matched, &self.at, &mut look);
+                self.template.anew(&self.matched, &self.at, &mut look);
                 return Ok(Found {
                     target_from_view: target_from_view
                         .ok_or(Abstained::DidNotConverge { steps })?,
@@ -221,10 +229,10 @@ impl<'a> Descent<'a> {
         let plain = self.template.scale(look);
         let toned = self.template.toned(&tone);
         let kept = self.template.exchange(toned);
-        self.template.look(&self.matched, &self.at, look);
+        self.template.agree(look);
         if self.template.scale(look) > (1.0 - TONE_GAINS) * plain {
             self.template.exchange(kept);
-            self.template.look(&self.matched, &self.at, look);
+            self.template.agree(look);
         }
     }
 }
@@ -268,42 +276,37 @@ fn ready<'a>(
     }
 }
 
-/// Which of the images must be softer for both to be alike, and by how much.
-fn softness(pictures: &Pictures<'_>, target_from_view: &Affine2) -> Result<Softer, Abstained> {
-    let ready = ready(pictures, target_from_view, Softer::default(), SIDE[0])?;
-    let alike = |matched: &Matched<'_>| {
-        let template = Template::new(matched, &ready.at, ready.blocks.clone(), ready.side);
-        let mut look = Look::default();
-        template.look(matched, &ready.at, &mut look);
-        template.correlation(&look)
-    };
-    let mut best = (alike(&ready.matched), Softer::default());
+/// A fit at the start, both images alike: one of them made softer where that is what they differ in.
+fn sharp_alike<'a>(
+    pictures: &Pictures<'a>,
+    target_from_view: &Affine2,
+) -> Result<(Descent<'a>, Softer), Abstained> {
+    let plain = Descent::of(pictures, target_from_view, Softer::default())?;
+    let mut best = (plain.template.correlation(&plain.look), Softer::default());
     if best.0 >= ALIKE {
-        return Ok(best.1);
+        return Ok((plain, best.1));
     }
     for fixed in [true, false] {
         for px in SOFTER_PX {
-            let softer = match fixed {
-                true => Softer {
-                    fixed_px: px,
-                    looked_px: 0.0,
-                },
-                false => Softer {
-                    fixed_px: 0.0,
-                    looked_px: px,
-                },
+            let (fixed_px, looked_px) = if fixed { (px, 0.0) } else { (0.0, px) };
+            let softer = Softer {
+                fixed_px,
+                looked_px,
             };
             let Some(matched) = Matched::new(pictures, target_from_view, softer) else {
                 continue;
             };
-            let now = alike(&matched);
+            let now = plain.correlation(&matched);
             if now < best.0 + SOFTER_GAINS {
                 break;
             }
             best = (now, softer);
         }
     }
-    Ok(best.1)
+    match best.1 == Softer::default() {
+        true => Ok((plain, best.1)),
+        false => Ok((Descent::of(pictures, target_from_view, best.1)?, best.1)),
+    }
 }
 
 /// The start, as a similarity where it is not known to be none: what few places leave open of its shape is not believed.

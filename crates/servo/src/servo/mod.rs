@@ -11,6 +11,7 @@ mod expected;
 mod frames;
 pub(crate) mod hand_over;
 pub(crate) mod options;
+mod pixels;
 pub(crate) mod run;
 mod sight;
 mod state;

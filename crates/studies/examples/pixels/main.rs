@@ -34,7 +34,7 @@ fn main() -> Outcome<()> {
 /// A specimen by the name of its file.
 fn source(name: &str) -> Outcome<Source> {
     let folder = specimens().ok_or("set SCOPESERVO_SPECIMENS to the folder of slides")?;
-    let gray = Slide::open(folder.join(name))?.read_gray(0)?;
+    let gray = Slide::open(&folder.join(name))?.read_gray(0)?;
     let source = Source {
         width: gray.width,
         height: gray.height,
