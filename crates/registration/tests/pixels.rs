@@ -16,7 +16,7 @@ struct Scene {
 impl Scene {
     fn new(seed: u64) -> Self {
         let mut rng = SplitMix64::new(seed);
-        let waves = (0..60).map(|_| {
+        let waves = (0..45).map(|_| {
             let k = (0.04f64.ln() + rng.uniform() * (1.4f64 / 0.04).ln()).exp();
             let (s, c) = (std::f64::consts::TAU * rng.uniform()).sin_cos();
             let phase = std::f64::consts::TAU * rng.uniform();
@@ -274,7 +274,7 @@ fn whatever_lies_between_it_helps_or_abstains() {
     for zoom in [1.0, 4.0] {
         for (name, change) in &changes {
             for noise in [0.01, 0.05] {
-                for seed in [11, 12] {
+                for seed in [11] {
                     let case = change(case(seed, zoom, 0.03, [0.6, 0.6])).noisy(noise);
                     let (start, found) = (case.start(0.1), case.refine(0.1));
                     let was = case.error(&start.target_from_view) / zoom;

@@ -6,7 +6,7 @@ use scopeservo_geometry::{Affine2, Vec2};
 /// Of a region this many columns and rows of sectors give their best block each.
 const SECTORS: [usize; 2] = [12, 9];
 /// A block has structure when its gradients hold this many times what noise alone does to them.
-const STRUCTURED: f64 = 1.6;
+const STRUCTURED: f64 = 2.0;
 /// and at least this, for values from 0 to 1: less is rounding.
 const LEAST: f64 = 1e-7;
 /// Of a block's pixels at least this share counts.

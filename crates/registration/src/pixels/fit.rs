@@ -16,7 +16,7 @@ const GAIN: f64 = 3.0;
 /// The usual residual is found from each so many-th pixel.
 const EACH: usize = 5;
 
-/// After so many steps a block that does not follow is left out for good.
+/// After so many steps a block that does not follow is left out for good, and so is a pixel that is clipped.
 const SETTLED: usize = 3;
 
 /// Unknowns: shift along x and y, stretch and turn, all in pixels of the coarser image; the last two at `radius` from the middle.
@@ -49,8 +49,9 @@ pub(super) struct Agreement {
 pub(super) struct Look {
     value: Vec<f32>,
     weight: Vec<f32>,
-    /// Which blocks lie in the image.
+    /// Which blocks lie in the image, and which pixels are masked out or clipped.
     seen: Vec<bool>,
+    lost: Vec<bool>,
     pub(super) agreements: Vec<Agreement>,
     steps: usize,
     stepped: bool,
@@ -131,6 +132,7 @@ impl Template {
         look.value.resize(self.value.len(), 0.0);
         if look.weight.len() != self.value.len() {
             look.weight = vec![1.0; self.value.len()];
+            look.lost = vec![false; self.value.len()];
         }
         look.seen.clear();
         let [[along_x, _], [along_y, _]] = looked_from_fixed.linear.0;
@@ -147,10 +149,9 @@ impl Template {
                 let from = looked_from_fixed.apply([x as f64, (y + row) as f64]);
                 matched.looked.along(from, [along_x, along_y], values);
             }
-            for k in range {
-                if !self.counts[k] || matched.looked.is_clipped(look.value[k]) {
-                    look.weight[k] = 0.0;
-                }
+            for k in range.filter(|_| look.steps <= SETTLED) {
+                look.lost[k] = !self.counts[k] || matched.looked.is_clipped(look.value[k]);
+                look.weight[k] = if look.lost[k] { 0.0 } else { look.weight[k] };
             }
         }
         self.agree(look);
@@ -241,7 +242,7 @@ impl Template {
     }
 
     /// One step. `None` when the blocks that follow do not determine it.
-    pub(super) fn step(&self, matched: &Matched<'_>, look: &mut Look) -> Option<Step> {
+    pub(super) fn step(&self, look: &mut Look) -> Option<Step> {
         look.stepped = true;
         let scale = self.scale(look).max(1e-6);
         let cut = TUKEY * scale;
@@ -254,9 +255,8 @@ impl Template {
             }
             for k in self.pixels(b) {
                 let off = agreement.residual(self.value[k], look.value[k]) / cut;
-                let counts = self.counts[k] && !matched.looked.is_clipped(look.value[k]);
                 let inside = (1.0 - off * off).max(0.0);
-                look.weight[k] = if counts { inside * inside } else { 0.0 };
+                look.weight[k] = if look.lost[k] { 0.0 } else { inside * inside };
             }
             let part = self.part(b, &agreement, look);
             for (whole, part) in whole.iter_mut().flatten().zip(part.0.iter().flatten()) {

@@ -33,9 +33,9 @@ const TONE_GAINS: f32 = 0.03;
 /// Steps, at most, and when they end: pixels.
 const STEPS: usize = 12;
 const CLOSE_PX: f64 = 0.001;
-/// or, within this, by what noise leaves open.
+/// or, within this, by what noise leaves open: in the first half of the steps and after.
 const NEAR_PX: f64 = 0.02;
-const CLOSE_SIGMAS: f64 = 0.1;
+const CLOSE_SIGMAS: [f64; 2] = [0.1, 0.5];
 /// How far a refinement may lead from its start: so many of the start's standard deviations, and so many pixels besides.
 const SIGMAS: f64 = 5.0;
 const BESIDES_PX: f64 = 0.5;
@@ -187,7 +187,7 @@ impl<'a> Descent<'a> {
             share: template.share(look),
         };
         for steps in 1..=STEPS {
-            let step = self.template.step(&self.matched, &mut look);
+            let step = self.template.step(&mut look);
             let step = step.ok_or_else(|| unclear(&look, &self.template))?;
             if step.parts.len() < LEAST_BLOCKS {
                 return Err(unclear(&look, &self.template));
@@ -201,7 +201,8 @@ impl<'a> Descent<'a> {
             let back = moved.inverse().ok_or(Abstained::DidNotConverge { steps })?;
             self.at = self.at.after(&back);
             let px = f64::hypot(x, y) + f64::hypot(stretch, turn);
-            if px < CLOSE_PX || px < NEAR_PX && step.sigmas < CLOSE_SIGMAS {
+            let close = CLOSE_SIGMAS[usize::from(steps > STEPS / 2)];
+            if px < CLOSE_PX || px < NEAR_PX && step.sigmas < close {
                 let target_from_view = self.matched.target_from_view(&self.at);
                 self.template.anew(&self.matched, &self.at, &mut look);
                 return Ok(Found {
