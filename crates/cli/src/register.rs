@@ -258,6 +258,7 @@ fn code(reason: &NotFound) -> &'static str {
         NotFound::TooFewMatches { .. } => "too_few_matches",
         NotFound::NoAgreement { .. } => "no_agreement",
         NotFound::ByChance { .. } => "by_chance",
+        NotFound::PixelsDisagree { .. } => "pixels_disagree",
         NotFound::Uncertain { .. } => "uncertain",
     }
 }

@@ -51,27 +51,40 @@ pub(crate) struct Equation<const N: usize, const M: usize> {
     pub(crate) pull: [f64; M],
 }
 
+/// The normal matrix of a block of equations, and its right sides: the sums of weight times residual times derivative.
+pub type Normal<const N: usize, const M: usize> = ([[f64; N]; N], [[f64; N]; M]);
+
 /// By how much the unknowns change when each block is left out. `None` when the others do not determine them.
 pub(crate) fn changes<const N: usize, const M: usize>(
     equations: impl Iterator<Item = Equation<N, M>>,
     blocks: usize,
 ) -> Option<Vec<[[f64; N]; M]>> {
-    let mut whole = [[0.0; N]; N];
     let mut parts = vec![([[0.0; N]; N], [[0.0; N]; M]); blocks];
     for e in equations {
         let (normal, right) = &mut parts[e.block];
         for i in 0..N {
             for j in 0..N {
-                let term = e.slope * e.row[i] * e.row[j];
-                normal[i][j] += term;
-                whole[i][j] += term;
+                normal[i][j] += e.slope * e.row[i] * e.row[j];
             }
             for (right, pull) in right.iter_mut().zip(e.pull) {
                 right[i] += pull * e.row[i];
             }
         }
     }
-    let change = |(normal, right): &([[f64; N]; N], [[f64; N]; M])| {
+    changes_without(&parts)
+}
+
+/// The same from the sums of each block.
+pub fn changes_without<const N: usize, const M: usize>(
+    parts: &[Normal<N, M>],
+) -> Option<Vec<[[f64; N]; M]>> {
+    let mut whole = [[0.0; N]; N];
+    for (normal, _) in parts {
+        for (whole, part) in whole.iter_mut().flatten().zip(normal.iter().flatten()) {
+            *whole += part;
+        }
+    }
+    let change = |(normal, right): &Normal<N, M>| {
         let left: [[f64; N]; N] =
             std::array::from_fn(|i| std::array::from_fn(|j| whole[i][j] - normal[i][j]));
         let inverse = cholesky_inverse(&left)?;
@@ -82,10 +95,7 @@ pub(crate) fn changes<const N: usize, const M: usize>(
 
 /// The covariance of an affine transform, in the order of [`AffineFit`](crate::AffineFit), with independent deviations about
 /// `mean_a`.
-pub(crate) fn covariance(
-    deviations: impl Iterator<Item = [[f64; 3]; 2]>,
-    mean_a: Vec2,
-) -> [[f64; 6]; 6] {
+pub fn covariance(deviations: impl Iterator<Item = [[f64; 3]; 2]>, mean_a: Vec2) -> [[f64; 6]; 6] {
     let mut covariance = [[0.0; 6]; 6];
     for [[a11, a12, b1], [a21, a22, b2]] in deviations {
         let centred = Affine2 {

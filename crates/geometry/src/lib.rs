@@ -29,6 +29,7 @@ pub use fit::{
     AffineFit, Correspondence, SharedErrors, affine_from_3, fit_affine, fit_affine_robust,
     fit_similarity, fit_similarity_robust, similarity_from_oriented, similarity_robust,
 };
+pub use jackknife::{Normal, changes_without, covariance as covariance_of_deviations};
 pub use mat2::{Mat2, Svd2};
 pub use ransac::{AffineProblem, OrientedProblem, Problem, RansacOptions, RobustFit, lo_ransac};
 pub use rng::SplitMix64;

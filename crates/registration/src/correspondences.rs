@@ -108,17 +108,6 @@ impl Correspondences {
     }
 }
 
-/// The middle of an image of this size, pixels.
-pub(crate) fn centre(size: [usize; 2]) -> Vec2 {
-    size.map(|side| (side as f64 - 1.0) / 2.0)
-}
-
-/// The centres of its corner pixels.
-pub(crate) fn corners(size: [usize; 2]) -> [Vec2; 4] {
-    let [w, h] = size.map(|side| side as f64 - 1.0);
-    [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]]
-}
-
 /// Where a keypoint is.
 pub(crate) fn point(k: &Keypoint) -> Vec2 {
     [f64::from(k.x), f64::from(k.y)]

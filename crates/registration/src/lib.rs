@@ -17,6 +17,7 @@
 #![warn(clippy::too_many_lines)]
 
 mod contest;
+mod corners;
 mod correspondences;
 mod grid;
 pub mod likeness;
@@ -24,6 +25,7 @@ mod options;
 mod outcome;
 mod period;
 mod pictures;
+pub mod pixels;
 mod prior;
 mod register;
 mod rival;

@@ -81,6 +81,11 @@ impl Plane {
         &self.data
     }
 
+    /// The values alone.
+    pub(crate) fn into_values(self) -> Vec<f32> {
+        self.data
+    }
+
     /// The value between pixels; `None` outside.
     pub fn at(&self, p: Vec2) -> Option<f64> {
         let inside = p[0] >= 0.0 && p[1] >= 0.0;

@@ -1,6 +1,7 @@
 //! What comes of a registration.
 
-use scopeservo_geometry::Affine2;
+use crate::corners::{centre, corners};
+use scopeservo_geometry::{Affine2, AffineFit};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -52,6 +53,16 @@ pub enum NotFound {
         /// log10 of the expected number of such agreements between unrelated images; `None` when they prove nothing.
         log10_nfa: Option<f64>,
     },
+    /// The features agree, and the pixels do not.
+    #[error(
+        "the features agree, but of {asked} places with structure only {agree} look as they should: it is another place that looks alike, or most of the view is covered"
+    )]
+    PixelsDisagree {
+        /// Blocks of pixels that have structure.
+        asked: usize,
+        /// Those that lie where they should.
+        agree: usize,
+    },
     /// The matches agree, but leave the transform open.
     #[error("the agreeing matches leave a view corner uncertain by {corner_sigma_px:.1} target px")]
     Uncertain {
@@ -76,6 +87,17 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// Of a fit, in a view of this size.
+    pub fn of(fit: &AffineFit, view_size: [usize; 2]) -> Self {
+        Self {
+            target_from_view: fit.b_from_a,
+            covariance: fit.covariance,
+            sigma_px: fit.sigma_at(centre(view_size)),
+            corner_sigma_px: corner_sigma_px(fit, view_size),
+            sigma_angle_rad: sigma_angle_rad(fit),
+        }
+    }
+
     /// That of an image to itself, known for sure.
     pub fn at_rest() -> Self {
         Self {
@@ -122,4 +144,31 @@ impl Registration {
             agreeing: Vec::new(),
         }
     }
+}
+
+/// The standard deviation of the worst corner of the view, target pixels.
+pub(crate) fn corner_sigma_px(fit: &AffineFit, view_size: [usize; 2]) -> f64 {
+    corners(view_size)
+        .into_iter()
+        .map(|p| fit.sigma_at(p))
+        .fold(0.0, f64::max)
+}
+
+/// The angle is `atan2(a21 - a12, a11 + a22)`: to first order its variance is that of `a21 - a12` over the square of
+/// `a11 + a22` turned upright, `4 det` for a similarity.
+fn sigma_angle_rad(fit: &AffineFit) -> f64 {
+    let c = &fit.covariance;
+    let [[a11, a12], [a21, a22]] = fit.b_from_a.linear.0;
+    let (up, across) = (a11 + a22, a21 - a12);
+    // Gradient of the angle in (a11, a12, a21, a22); rows 0, 1, 3, 4 of the covariance.
+    let size_sq = up * up + across * across;
+    let gradient = [-across, -up, up, -across].map(|g| g / size_sq);
+    let rows = [0, 1, 3, 4];
+    let mut variance = 0.0;
+    for (i, gi) in rows.iter().zip(gradient) {
+        for (j, gj) in rows.iter().zip(gradient) {
+            variance += gi * c[*i][*j] * gj;
+        }
+    }
+    variance.max(0.0).sqrt()
 }

@@ -1,7 +1,7 @@
 //! Two images and nothing else: no stage that could move, so what is fixed to the camera and what repeats itself must be told from the
 //! images alone.
 
-use crate::correspondences::centre;
+use crate::corners::centre;
 use crate::likeness::Pair;
 use crate::{
     Estimate, NotFound, Options, Prior, Registration, Rival, find_rivals, periods, register,

@@ -1,6 +1,7 @@
 //! Correspondences to a transform with a verdict.
 
-use crate::correspondences::{Correspondences, MIN_MATCHES, centre, corners};
+use crate::correspondences::{Correspondences, MIN_MATCHES};
+use crate::outcome::corner_sigma_px;
 use crate::prior::coherence;
 use crate::search::{ANISOTROPY, Search, Shape};
 use crate::significance::{AFFINE_SAMPLE, SIMILARITY_SAMPLE, log10_nfa, unique_places};
@@ -126,10 +127,7 @@ impl Agreement {
 
     /// The standard deviation of the worst corner of the view, target pixels.
     fn corner_sigma_px(&self, all: &Correspondences) -> f64 {
-        corners(all.view_size)
-            .into_iter()
-            .map(|p| self.fit.sigma_at(p))
-            .fold(0.0, f64::max)
+        corner_sigma_px(&self.fit, all.view_size)
     }
 
     /// The same when it is more than is allowed.
@@ -247,13 +245,7 @@ fn answer(
     } else if let Some(corner_sigma_px) = best.uncertain(all, options, coarse_px) {
         Err(NotFound::Uncertain { corner_sigma_px })
     } else {
-        Ok(Estimate {
-            target_from_view: fit.b_from_a,
-            covariance: fit.covariance,
-            sigma_px: fit.sigma_at(centre(all.view_size)),
-            corner_sigma_px: best.corner_sigma_px(all),
-            sigma_angle_rad: sigma_angle_rad(fit),
-        })
+        Ok(Estimate::of(fit, all.view_size))
     };
     let drawn = |&i: &usize| {
         let Correspondence { p_in_a, p_in_b, .. } = all.pairs[i];
@@ -267,23 +259,4 @@ fn answer(
         pairs: best.agreeing.iter().map(drawn).collect(),
         agreeing: best.agreeing.iter().map(|&i| all.indices[i]).collect(),
     }
-}
-
-/// The angle is `atan2(a21 - a12, a11 + a22)`: to first order its variance is that of `a21 - a12` over the square of
-/// `a11 + a22` turned upright, `4 det` for a similarity.
-fn sigma_angle_rad(fit: &AffineFit) -> f64 {
-    let c = &fit.covariance;
-    let [[a11, a12], [a21, a22]] = fit.b_from_a.linear.0;
-    let (up, across) = (a11 + a22, a21 - a12);
-    // Gradient of the angle in (a11, a12, a21, a22); rows 0, 1, 3, 4 of the covariance.
-    let size_sq = up * up + across * across;
-    let gradient = [-across, -up, up, -across].map(|g| g / size_sq);
-    let rows = [0, 1, 3, 4];
-    let mut variance = 0.0;
-    for (i, gi) in rows.iter().zip(gradient) {
-        for (j, gj) in rows.iter().zip(gradient) {
-            variance += gi * c[*i][*j] * gj;
-        }
-    }
-    variance.max(0.0).sqrt()
 }

@@ -5,7 +5,8 @@
 //! one and lie elsewhere, in the target (it holds what is in view twice) and in the view (that holds the target twice). [`undecided`](crate::undecided) then
 //! lets the pixels speak.
 
-use crate::correspondences::{centre, corners, point};
+use crate::corners::{centre, corners};
+use crate::correspondences::point;
 use crate::prior::wrap;
 use crate::significance::{log10_nfa, unique_places};
 use crate::{Estimate, Options, Prior, Registration};

@@ -1,6 +1,7 @@
 //! What procedures tell: progress bar, report, replay and resume all read the same events.
 
 use crate::calibrate::told::{ChainPlace, ChainView};
+use crate::pixels_seen::PixelsSeen;
 use crate::{Calibration, FocusResult, Identity, Outcome, PoseError, Remark, Velocity};
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::NotFound;
@@ -180,6 +181,9 @@ pub enum Event {
         pairs: Vec<[f32; 4]>,
         /// Whether this error passes the convergence test.
         converged: bool,
+        /// What the pixels say, with the target's own objective. Logs of earlier versions do not tell.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pixels: Option<PixelsSeen>,
     },
     /// A view was not found in the target.
     Lost {

@@ -334,6 +334,7 @@ impl Teller {
                 sigma_px: 0.12 * um / um_t,
                 pairs,
                 converged,
+                pixels: None,
             };
             self.tell(0.28, event);
             iteration += 1;

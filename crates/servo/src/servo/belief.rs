@@ -137,9 +137,10 @@ impl Servo {
         );
         match proved {
             Proved::Moved(moved) if self.proof.unique => {
-                let pose = sight.pose(&moved, task);
-                let passes = pose.is_some_and(|pose| test.passes(&pose.error, &moved));
-                Belief::Of(Box::new(sight.relocated(*moved, task)), passes)
+                let located = sight.proved(*moved, task);
+                let is_pose = sight.pose(&located.estimate, task).is_some();
+                let passes = is_pose && test.passes(&located.pose.error, &located.estimate);
+                Belief::Of(Box::new(located), passes)
             }
             // A step aside shows at once what looking again and again shows place by place.
             Proved::Bent if self.proof.bends_too_often() && self.proof.may_step_aside() => {

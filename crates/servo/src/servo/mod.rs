@@ -13,6 +13,7 @@ mod frames;
 pub(crate) mod hand_over;
 pub(crate) mod missing;
 pub(crate) mod options;
+mod pixels;
 mod reach;
 pub(crate) mod refit;
 pub(crate) mod run;

@@ -1,8 +1,10 @@
 //! One frame of the loop, understood: where it lies in the target, and the pose error.
 
 use super::convergence::Measured;
+use super::pixels::Pixels;
 use super::reach::{turned_within, turning};
 use crate::hand_eye::pose_sigma;
+use crate::pixels_seen::PixelsSeen;
 use crate::proof::{FixedPlaces, Station};
 use crate::vision::{centre_px, gray};
 use crate::{
@@ -47,10 +49,17 @@ pub(crate) struct Sight<'a> {
     pub(crate) present: StagePose,
     pub(crate) station: Station<'a>,
     pub(crate) located: Located,
+    pixels: Option<PixelsSeen>,
     target_size: [usize; 2],
     /// Where the rotation may go.
     turning: Option<AxisRange>,
 }
+
+/// So near to its goal a view may have arrived, and the pixels are asked, too, pixels of the view.
+const NEAR_PX: f64 = 12.0;
+/// Two transforms are one within so many standard deviations of their difference, and so many pixels besides.
+const ONE_SIGMAS: f64 = 3.0;
+const ONE_PX: f64 = 0.05;
 
 impl<'a> Sight<'a> {
     /// Locates the target in the view, and computes the pose error. The inner result has the reason when it is not found.
@@ -64,23 +73,42 @@ impl<'a> Sight<'a> {
     ) -> Result<Result<Self, NotFound>, ServoError> {
         let expected = Expected { prior, fixed };
         let located = task.locate(&view.image, &expected)?;
-        Ok(located
-            .and_then(|measured| Self::understood(view, task, scope, (measured, prior), present)))
+        Ok(located.and_then(|measured| {
+            let pixels = Pixels::of(&view.image, task, fixed);
+            let seen = (measured, pixels.as_ref());
+            Self::understood(view, task, scope, seen, (prior, present))
+        }))
     }
 
     fn understood(
         view: &'a View,
         task: &ServoTask<'a>,
         scope: &Instrument,
-        (measured, prior): (Measurement, Prior),
-        present: StagePose,
+        (measured, pixels): (Measurement, Option<&Pixels<'_>>),
+        (prior, present): (Prior, StagePose),
     ) -> Result<Self, NotFound> {
-        let estimate = measured.estimate.clone();
+        let mut estimate = measured.estimate.clone();
+        let mut seen = PixelsSeen::default();
+        match pixels.and_then(|pixels| pixels.refined(task, &measured)) {
+            Some(Ok(refined)) => {
+                seen.refined_blocks = Some(refined.blocks);
+                estimate = refined.estimate;
+            }
+            Some(Err(why)) => seen.abstained = Some(why),
+            None => {}
+        }
         let target_size = [task.target.features.width, task.target.features.height];
         let centres = centres(&measured, target_size);
         let pose = pose_of(&estimate, centres, task).ok_or(NotFound::NoAgreement {
             matches: measured.registration.matches,
         })?;
+        let near_um = NEAR_PX * task.view_calibration.um_per_px();
+        if let Some(pixels) = pixels.filter(|_| pose.error.distance_um() <= near_um) {
+            seen.evidence = Some(pixels.evidence(&estimate, &measured));
+        }
+        if let Some(reason) = seen.contradiction() {
+            return Err(reason);
+        }
         let info = scope.gate().info();
         Ok(Self {
             view,
@@ -95,6 +123,7 @@ impl<'a> Sight<'a> {
                 still: task.target.moved.is_none(),
             },
             located: Located { estimate, pose },
+            pixels: pixels.map(|_| seen),
             target_size,
             turning: turning(scope),
         })
@@ -111,6 +140,19 @@ impl<'a> Sight<'a> {
         Located {
             pose: pose.unwrap_or(self.located.pose),
             estimate,
+        }
+    }
+
+    /// The view with the transform of the places that moved; what the pixels made of all places is better, where that is the same.
+    pub(crate) fn proved(&self, moved: Estimate, task: &ServoTask<'_>) -> Located {
+        let is = &self.located.estimate;
+        let refined = self
+            .pixels
+            .as_ref()
+            .is_some_and(|p| p.refined_blocks.is_some());
+        match refined && is_one(is, &moved, self.centres().0) {
+            true => self.located.clone(),
+            false => self.relocated(moved, task),
         }
     }
 
@@ -162,8 +204,22 @@ impl<'a> Sight<'a> {
             sigma_px: self.located.estimate.sigma_px,
             pairs: registration.pairs.clone(),
             converged,
+            pixels: self.pixels.clone(),
         }
     }
+}
+
+/// Whether two transforms are the same within their uncertainties, by the middle of the view and by their angle.
+fn is_one(a: &Estimate, b: &Estimate, centre: Vec2) -> bool {
+    let [p, q] = [a, b].map(|e| e.target_from_view.apply(centre));
+    let angle = |e: &Estimate| e.target_from_view.linear.rotation_angle();
+    let Some((one, two)) = angle(a).zip(angle(b)) else {
+        return false;
+    };
+    let turned = (one - two).sin().atan2((one - two).cos()).abs();
+    let sigma_px = f64::hypot(a.sigma_px, b.sigma_px) * std::f64::consts::SQRT_2;
+    f64::hypot(p[0] - q[0], p[1] - q[1]) <= ONE_SIGMAS * sigma_px + ONE_PX
+        && turned <= ONE_SIGMAS * f64::hypot(a.sigma_angle_rad, b.sigma_angle_rad)
 }
 
 /// The middle of the view and of the target.

@@ -1,0 +1,71 @@
+//! What the pixels of a view say, besides its features: a better transform, and near the goal evidence for it.
+
+use crate::{FixedPlaces, Law, Measurement, ServoTask};
+use scopeservo_features::{GrayImage, Mask};
+use scopeservo_geometry::Vec2;
+use scopeservo_registration::Estimate;
+use scopeservo_registration::pixels::{Abstained, Evidence, Pictures, Refined, refine, weigh};
+
+/// Side of a mask's cells, pixels.
+const CELL: usize = 8;
+
+/// A view and its target, and what of them is not known to be something else than the specimen.
+pub(super) struct Pixels<'a> {
+    view: &'a GrayImage,
+    target: GrayImage,
+    of_view: Option<Mask>,
+    of_target: Option<Mask>,
+}
+
+impl<'a> Pixels<'a> {
+    /// `None` away from the target's own objective, and where the target has no image.
+    pub(super) fn of(
+        view: &'a GrayImage,
+        task: &ServoTask<'_>,
+        fixed: &FixedPlaces,
+    ) -> Option<Self> {
+        let target = task.is_arrival().then(|| task.target.gray().ok())??;
+        let free = |p: Vec2| !fixed.holds(p);
+        let moved = task.target.mask.as_ref();
+        let of = |image: &GrayImage, counts: &dyn Fn(Vec2) -> bool| {
+            Mask::of_cells(image.width(), image.height(), CELL, counts)
+        };
+        let of_view = (!fixed.is_empty()).then(|| of(view, &free));
+        // What was not seen to move when the target was saved may be fixed to the camera.
+        let of_target = match moved {
+            Some(moved) => Some(of(&target, &|p| moved.holds(p) && free(p))),
+            None => (!fixed.is_empty()).then(|| of(&target, &free)),
+        };
+        Some(Self {
+            view,
+            target,
+            of_view,
+            of_target,
+        })
+    }
+
+    fn pictures(&self) -> Pictures<'_> {
+        Pictures {
+            view: self.view,
+            target: &self.target,
+            of_view: self.of_view.as_ref(),
+            of_target: self.of_target.as_ref(),
+        }
+    }
+
+    /// The features' transform made better, where it can be. The paper's law has the paper's measurement.
+    pub(super) fn refined(
+        &self,
+        task: &ServoTask<'_>,
+        measured: &Measurement,
+    ) -> Option<Result<Refined, Abstained>> {
+        (task.options.law == Law::Direct).then(|| refine(&self.pictures(), &measured.estimate))
+    }
+
+    /// Whether the pixels are evidence for a transform, those alone on which none of the features lies where there are enough.
+    pub(super) fn evidence(&self, estimate: &Estimate, measured: &Measurement) -> Evidence {
+        let pairs = measured.registration.pairs.iter();
+        let fitted: Vec<Vec2> = pairs.map(|p| [p[0], p[1]].map(f64::from)).collect();
+        weigh(&self.pictures(), &estimate.target_from_view, &fitted)
+    }
+}
