@@ -17,7 +17,9 @@
 #![warn(clippy::too_many_lines)]
 
 mod contest;
+pub mod correlation;
 mod correspondences;
+mod fourier;
 mod grid;
 pub mod likeness;
 mod options;

@@ -1,0 +1,339 @@
+//! Where a target lies in a view, without features: band-passed images of equal local contrast, correlated over all places and over the
+//! angles that are expected, at the scale that is known.
+//!
+//! The correlation proposes and blocks judge. Its highest peaks are looked at block by block: each block of the target
+//! looks for itself around where a peak puts it, and what the blocks agree on is found, uncertain or chance by the same test as matches of features
+//! ([`register_correspondences`]), with the same covariance. Then finer levels, and the finest that says more is the answer. What hides a part of
+//! the view hides blocks, no more.
+//!
+//! [`register_correspondences`]: crate::register_correspondences
+
+mod blocks;
+mod plane;
+mod search;
+
+use crate::correspondences::centre;
+use crate::prior::wrap;
+use crate::{
+    Correspondences, NotFound, Options, Prior, Registration, Rival, RotationPrior, ScalePrior,
+    register_correspondences,
+};
+use plane::Plane;
+use scopeservo_features::GrayImage;
+use scopeservo_geometry::{Affine2, Vec2};
+
+/// Whether a pixel counts: not where something is fixed to the camera.
+pub type Counts<'a> = dyn Fn(Vec2) -> bool + Sync + 'a;
+
+/// An image, and what of it counts.
+#[derive(Clone, Copy)]
+pub struct Picture<'a> {
+    /// The image.
+    pub image: &'a GrayImage,
+    /// Which pixels count; `None` for all.
+    pub counts: Option<&'a Counts<'a>>,
+}
+
+/// The longer side of a target that is searched for, samples at most;
+const TARGET_SAMPLES: f64 = 120.0;
+/// and that of the view.
+const VIEW_SAMPLES: f64 = 400.0;
+/// By half a step of the angle the target's pixels move so far, root mean square, samples.
+const TURN_STEP_PX: f64 = 1.0;
+/// How far around its place each block looks: first, and when the place is known better, samples.
+const REACH: [usize; 2] = [6, 3];
+/// A block agrees when it lands this near, samples.
+const AGREES: f64 = 2.5;
+/// Larger planes than this are not made: the finest level of a large camera.
+const MOST_SAMPLES: usize = 1_600_000;
+/// Expected number of agreements as good between unrelated images, at most, as blocks count it: log10. Blocks of one peak are not
+/// independent, as they are what made it a peak; what unrelated images reach is measured (docs/measured.md).
+const LOG10_CHANCE: f64 = -12.0;
+/// Another place is as good when its agreement is by this share as improbable.
+const AS_GOOD: f64 = 0.5;
+/// Turned by more than this it is another place, radians; or shifted by so many samples.
+const ELSEWHERE_RAD: f64 = 0.2;
+const ELSEWHERE: f64 = 4.0;
+
+/// What a correlation says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Correlation {
+    /// The transform, or why there is none. Its inliers are blocks.
+    pub registration: Registration,
+    /// The blocks, as places of view and target that look alike.
+    pub correspondences: Correspondences,
+    /// Other places that look like the target, too: with any of them it is ambiguous.
+    pub rivals: Vec<Rival>,
+    /// The highest peak, and the highest of those elsewhere; 1 for what is the same.
+    pub peaks: [f32; 2],
+}
+
+/// View and target at one scale.
+struct Matched<'a> {
+    view: &'a Plane,
+    target: &'a Plane,
+    view_size: [usize; 2],
+    target_size: [usize; 2],
+    /// Target pixels per view pixel.
+    ratio: f64,
+}
+
+impl Matched<'_> {
+    /// Samples of the target for one of the view.
+    fn target_pitch(&self) -> f64 {
+        self.ratio * self.view.every as f64 / self.target.every as f64
+    }
+
+    /// The target's sides in samples of the view.
+    fn target_samples(&self) -> [f64; 2] {
+        let pitch = self.target_pitch();
+        [self.target.width, self.target.height].map(|n| n as f64 / pitch)
+    }
+}
+
+/// Looks for a target in a view at a known scale.
+///
+/// Cost at 640 x 480 pixels, two cores: see docs/measured.md.
+pub fn correlate(
+    view: &Picture<'_>,
+    target: &Picture<'_>,
+    scale: ScalePrior,
+    rotation: Option<RotationPrior>,
+    options: &Options,
+) -> Correlation {
+    let levels = Levels::of(view, target, scale.ratio);
+    let prior = Prior {
+        scale: Some(scale),
+        rotation,
+        ..Prior::default()
+    };
+    let run = Run {
+        view,
+        target,
+        levels: &levels,
+        prior: &prior,
+        options,
+    };
+    run.answer().unwrap_or_else(|reason| Correlation {
+        registration: Registration::not_found(reason, 0),
+        correspondences: nothing(view),
+        rivals: Vec::new(),
+        peaks: [0.0; 2],
+    })
+}
+
+fn nothing(view: &Picture<'_>) -> Correspondences {
+    Correspondences {
+        view_size: size(view),
+        target_area: 0.0,
+        indices: Vec::new(),
+        pairs: Vec::new(),
+        shapes: Vec::new(),
+    }
+}
+
+fn size(picture: &Picture<'_>) -> [usize; 2] {
+    [picture.image.width(), picture.image.height()]
+}
+
+/// View pixels that make a sample, at the finest level and where the search is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Levels {
+    finest: usize,
+    search: usize,
+}
+
+impl Levels {
+    fn of(view: &Picture<'_>, target: &Picture<'_>, ratio: f64) -> Self {
+        let [w, h] = size(view);
+        let longer = |s: [usize; 2]| s[0].max(s[1]) as f64;
+        // No finer than the coarser image is.
+        let mut finest = (1.0 / ratio - 1e-6).ceil().max(1.0) as usize;
+        while w * h / (finest * finest) > MOST_SAMPLES {
+            finest += 1;
+        }
+        let fits = |every: usize| {
+            longer(size(target)) / ratio / every as f64 <= TARGET_SAMPLES
+                && w.max(h) as f64 / every as f64 <= VIEW_SAMPLES
+        };
+        let search = (0..).map(|k| finest << k).find(|&every| fits(every));
+        Self {
+            finest,
+            search: search.unwrap_or(finest),
+        }
+    }
+}
+
+/// An agreement of blocks.
+struct Agreed {
+    registration: Registration,
+    correspondences: Correspondences,
+}
+
+impl Agreed {
+    fn log10_nfa(&self) -> f64 {
+        self.registration.log10_nfa.unwrap_or(f64::INFINITY)
+    }
+}
+
+struct Run<'a> {
+    view: &'a Picture<'a>,
+    target: &'a Picture<'a>,
+    levels: &'a Levels,
+    prior: &'a Prior,
+    options: &'a Options,
+}
+
+impl Run<'_> {
+    fn answer(&self) -> Result<Correlation, NotFound> {
+        let blank = NotFound::NoAgreement { matches: 0 };
+        let planes = self.planes(self.levels.search);
+        let (view, target) = planes.ok_or_else(|| blank.clone())?;
+        let matched = self.matched(&view, &target);
+        let angles = search::angles(&matched, self.prior.rotation);
+        let peaks = search::peaks(&matched, &angles);
+        let mut agreed: Vec<(f32, Agreed)> = peaks
+            .iter()
+            .filter_map(|peak| {
+                let rough = peak.target_from_view(&matched);
+                Some((peak.height, self.agreed(&matched, &rough, REACH[0])?))
+            })
+            .collect();
+        agreed.sort_by(|a, b| a.1.log10_nfa().total_cmp(&b.1.log10_nfa()));
+        let mut agreed = agreed.into_iter();
+        let (height, best) = agreed.next().ok_or(blank)?;
+        let Some(found) = best.registration.found() else {
+            return Ok(self.told(best, Vec::new(), [height, 0.0]));
+        };
+        let first = found.target_from_view;
+        let log10_nfa = best.log10_nfa();
+        let sample_px = self.prior.scale.map_or(1.0, |s| s.ratio) * self.levels.search as f64;
+        let mut rivals = Vec::new();
+        let mut second = 0.0f32;
+        for (height, other) in agreed {
+            let Some(estimate) = other.registration.found() else {
+                continue;
+            };
+            let rival = self.rival(&first, &estimate.target_from_view, &other, &best);
+            let shift = f64::hypot(rival.shift_px[0], rival.shift_px[1]);
+            if shift < ELSEWHERE * sample_px && rival.turn_rad.abs() < ELSEWHERE_RAD {
+                continue;
+            }
+            second = second.max(height);
+            if other.log10_nfa() <= AS_GOOD * log10_nfa {
+                rivals.push(rival);
+            }
+        }
+        let best = self.finer(best);
+        Ok(self.told(best, rivals, [height, second]))
+    }
+
+    fn planes(&self, every: usize) -> Option<(Plane, Plane)> {
+        let ratio = self.prior.scale?.ratio;
+        // What the view's sample covers, or a little less.
+        let of_target = ((ratio * every as f64 + 1e-6) as usize).max(1);
+        Some((
+            Plane::of(self.view, every)?,
+            Plane::of(self.target, of_target)?,
+        ))
+    }
+
+    fn matched<'p>(&self, view: &'p Plane, target: &'p Plane) -> Matched<'p> {
+        Matched {
+            view,
+            target,
+            view_size: size(self.view),
+            target_size: size(self.target),
+            ratio: self.prior.scale.map_or(1.0, |s| s.ratio),
+        }
+    }
+
+    /// What the blocks around a transform agree on.
+    fn agreed(&self, matched: &Matched<'_>, rough: &Affine2, reach: usize) -> Option<Agreed> {
+        let correspondences =
+            blocks::correspondences(matched, rough, self.levels.finest, reach)?;
+        let sample_px = matched.ratio * matched.view.every as f64;
+        let options = Options {
+            // In pixels of the coarser image.
+            threshold_px: AGREES * sample_px / matched.ratio.max(1.0),
+            false_alarms: 10.0f64.powf(LOG10_CHANCE),
+            ..*self.options
+        };
+        // All blocks turn as they were turned to be compared: that they agree in it says nothing.
+        let prior = Prior {
+            rotation: Some(RotationPrior {
+                angle_rad: rough.linear.rotation_angle()?,
+                tolerance_rad: ELSEWHERE_RAD,
+            }),
+            ..*self.prior
+        };
+        Some(Agreed {
+            registration: register_correspondences(&correspondences, &prior, &options),
+            correspondences,
+        })
+    }
+
+    /// The same at finer levels, as far as they say more.
+    fn finer(&self, mut best: Agreed) -> Agreed {
+        let mut every = self.levels.search;
+        loop {
+            let Some((view, target)) = self.planes(every) else {
+                return best;
+            };
+            let matched = self.matched(&view, &target);
+            let sigma_px = |a: &Agreed| a.registration.found().map(|e| e.sigma_px);
+            let Some(from) = best.registration.found() else {
+                return best;
+            };
+            let from = from.target_from_view;
+            let mut again = self.agreed(&matched, &from, REACH[1]);
+            // Blocks that are put where they belong are not drawn to whole samples.
+            if let Some(found) = again.as_ref().and_then(|a| a.registration.found()) {
+                let rough = found.target_from_view;
+                again = self.agreed(&matched, &rough, REACH[1]).or(again);
+            }
+            let better = again.filter(|a| {
+                let (was, is) = (sigma_px(&best), sigma_px(a));
+                is.is_some_and(|is| every == self.levels.search || was.is_none_or(|was| is < was))
+            });
+            let Some(better) = better else {
+                return best;
+            };
+            best = better;
+            if every == self.levels.finest {
+                return best;
+            }
+            every = (every / 2).max(self.levels.finest);
+        }
+    }
+
+    fn rival(&self, first: &Affine2, other: &Affine2, those: &Agreed, all: &Agreed) -> Rival {
+        let middle = centre(size(self.view));
+        let (a, b) = (first.apply(middle), other.apply(middle));
+        let angle = |t: &Affine2| t.linear.rotation_angle().unwrap_or(f64::NAN);
+        Rival {
+            target_from_view: *other,
+            shift_px: [b[0] - a[0], b[1] - a[1]],
+            turn_rad: wrap(angle(other) - angle(first)),
+            places: those.registration.inliers,
+            asked: all.registration.inliers,
+            significant: true,
+        }
+    }
+
+    fn told(&self, best: Agreed, rivals: Vec<Rival>, peaks: [f32; 2]) -> Correlation {
+        let mut registration = best.registration;
+        if let Ok(estimate) = &registration.outcome
+            && !self.prior.allows(&estimate.target_from_view)
+        {
+            let matches = registration.matches;
+            registration.outcome = Err(NotFound::NoAgreement { matches });
+        }
+        Correlation {
+            registration,
+            correspondences: best.correspondences,
+            rivals,
+            peaks,
+        }
+    }
+}
