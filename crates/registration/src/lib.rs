@@ -31,6 +31,7 @@ mod register;
 mod rival;
 mod search;
 pub mod significance;
+pub mod tracking;
 
 pub use contest::undecided;
 pub use correspondences::Correspondences;

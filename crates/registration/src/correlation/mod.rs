@@ -49,6 +49,11 @@ const MOST_SAMPLES: usize = 1_600_000;
 /// Expected number of agreements as good between unrelated images, at most, as blocks count it: log10. Blocks of one peak are not
 /// independent, as they are what made it a peak; what unrelated images reach is measured (docs/measured.md).
 const LOG10_CHANCE: f64 = -12.0;
+/// What is looked at more finely, and so many of these at most.
+const LOG10_PROPOSED: f64 = -0.5;
+const PROPOSED: usize = 3;
+/// and what is another place.
+const LOG10_RIVAL: f64 = -6.0;
 /// Another place is as good when its agreement is by this share as improbable.
 const AS_GOOD: f64 = 0.5;
 /// Turned by more than this it is another place, radians; or shifted by so many samples.
@@ -168,12 +173,8 @@ impl Levels {
 struct Agreed {
     registration: Registration,
     correspondences: Correspondences,
-}
-
-impl Agreed {
-    fn log10_nfa(&self) -> f64 {
-        self.registration.log10_nfa.unwrap_or(f64::INFINITY)
-    }
+    /// How improbable it is, at the level that says most.
+    log10_nfa: f64,
 }
 
 struct Run<'a> {
@@ -192,40 +193,50 @@ impl Run<'_> {
         let matched = self.matched(&view, &target);
         let angles = search::angles(&matched, self.prior.rotation);
         let peaks = search::peaks(&matched, &angles);
-        let mut agreed: Vec<(f32, Agreed)> = peaks
+        let mut proposed: Vec<(f32, Agreed)> = peaks
             .iter()
             .filter_map(|peak| {
                 let rough = peak.target_from_view(&matched);
                 Some((peak.height, self.agreed(&matched, &rough, REACH[0])?))
             })
             .collect();
-        agreed.sort_by(|a, b| a.1.log10_nfa().total_cmp(&b.1.log10_nfa()));
-        let mut agreed = agreed.into_iter();
-        let (height, best) = agreed.next().ok_or(blank)?;
-        let Some(found) = best.registration.found() else {
-            return Ok(self.told(best, Vec::new(), [height, 0.0]));
+        proposed.sort_by(|a, b| a.1.log10_nfa.total_cmp(&b.1.log10_nfa));
+        proposed.truncate(PROPOSED);
+        let mut finer: Vec<(f32, Agreed)> = proposed
+            .into_iter()
+            .map(|(height, agreed)| (height, self.finer(agreed)))
+            .collect();
+        finer.sort_by(|a, b| a.1.log10_nfa.total_cmp(&b.1.log10_nfa));
+        let mut finer = finer.into_iter();
+        let (height, best) = finer.next().ok_or(blank)?;
+        let others: Vec<(f32, Agreed)> = finer.collect();
+        let (rivals, second) = self.rivals(&best, &others);
+        Ok(self.told(best, rivals, [height, second]))
+    }
+
+    /// Those that say as much of another place, and the highest peak of another place.
+    fn rivals(&self, best: &Agreed, others: &[(f32, Agreed)]) -> (Vec<Rival>, f32) {
+        let (mut rivals, mut second) = (Vec::new(), 0.0f32);
+        let Some(first) = best.registration.found() else {
+            return (rivals, second);
         };
-        let first = found.target_from_view;
-        let log10_nfa = best.log10_nfa();
         let sample_px = self.prior.scale.map_or(1.0, |s| s.ratio) * self.levels.search as f64;
-        let mut rivals = Vec::new();
-        let mut second = 0.0f32;
-        for (height, other) in agreed {
+        for (height, other) in others {
             let Some(estimate) = other.registration.found() else {
                 continue;
             };
-            let rival = self.rival(&first, &estimate.target_from_view, &other, &best);
+            let (first, estimate) = (&first.target_from_view, &estimate.target_from_view);
+            let rival = self.rival(first, estimate, other, best);
             let shift = f64::hypot(rival.shift_px[0], rival.shift_px[1]);
             if shift < ELSEWHERE * sample_px && rival.turn_rad.abs() < ELSEWHERE_RAD {
                 continue;
             }
-            second = second.max(height);
-            if other.log10_nfa() <= AS_GOOD * log10_nfa {
+            second = second.max(*height);
+            if other.log10_nfa <= (AS_GOOD * best.log10_nfa).min(LOG10_RIVAL) {
                 rivals.push(rival);
             }
         }
-        let best = self.finer(best);
-        Ok(self.told(best, rivals, [height, second]))
+        (rivals, second)
     }
 
     fn planes(&self, every: usize) -> Option<(Plane, Plane)> {
@@ -256,7 +267,7 @@ impl Run<'_> {
         let options = Options {
             // In pixels of the coarser image.
             threshold_px: AGREES * sample_px / matched.ratio.max(1.0),
-            false_alarms: 10.0f64.powf(LOG10_CHANCE),
+            false_alarms: 10.0f64.powf(LOG10_PROPOSED),
             ..*self.options
         };
         // All blocks turn as they were turned to be compared: that they agree in it says nothing.
@@ -267,8 +278,10 @@ impl Run<'_> {
             }),
             ..*self.prior
         };
+        let registration = register_correspondences(&correspondences, &prior, &options);
         Some(Agreed {
-            registration: register_correspondences(&correspondences, &prior, &options),
+            log10_nfa: registration.log10_nfa.unwrap_or(f64::INFINITY),
+            registration,
             correspondences,
         })
     }
@@ -299,7 +312,10 @@ impl Run<'_> {
             let Some(better) = better else {
                 return best;
             };
-            best = better;
+            best = Agreed {
+                log10_nfa: better.log10_nfa.min(best.log10_nfa),
+                ..better
+            };
             if every == self.levels.finest {
                 return best;
             }
@@ -323,6 +339,16 @@ impl Run<'_> {
 
     fn told(&self, best: Agreed, rivals: Vec<Rival>, peaks: [f32; 2]) -> Correlation {
         let mut registration = best.registration;
+        if best.log10_nfa.is_finite() {
+            registration.log10_nfa = Some(best.log10_nfa);
+        }
+        if registration.outcome.is_ok() && best.log10_nfa > LOG10_CHANCE {
+            registration.outcome = Err(NotFound::ByChance {
+                inliers: registration.inliers,
+                matches: registration.matches,
+                log10_nfa: registration.log10_nfa,
+            });
+        }
         if let Ok(estimate) = &registration.outcome
             && !self.prior.allows(&estimate.target_from_view)
         {

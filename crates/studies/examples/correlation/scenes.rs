@@ -3,7 +3,7 @@
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, Mat2, SplitMix64, Vec2};
 use scopeservo_slide::Slide;
-use scopeservo_studies::warp::{SIZE, Source, random_pair};
+use scopeservo_studies::warp::{Pair, SIZE, Source};
 use std::error::Error;
 use std::path::Path;
 
@@ -131,13 +131,7 @@ pub(crate) fn draw(family: Family, specimens: &[Specimen], number: u64) -> Optio
         Family::HardSparse => 0.04..0.25,
         _ => 0.25..1.1,
     };
-    let pair = |s: &Specimen, rng: &mut SplitMix64| {
-        (0..30).find_map(|_| {
-            let pitch = pitch(&s.source, zoom);
-            let drawn = random_pair(&s.source, zoom, pitch, NOISE, rng.next_u64())?;
-            range.contains(&busy(&drawn.target)).then_some(drawn)
-        })
-    };
+    let pair = |s: &Specimen, rng: &mut SplitMix64| pair(s, zoom, &range, rng);
     let scene = |slide: String, view, target, target_from_view, spoilt| {
         Some(Scene {
             slide,
@@ -155,11 +149,8 @@ pub(crate) fn draw(family: Family, specimens: &[Specimen], number: u64) -> Optio
             scene(specimen.name.clone(), view, p.target, Some(p.target_from_view), spoilt)
         }
         Family::Elsewhere => {
-            let (a, b) = (pair(specimen, &mut rng)?, apart(specimen, zoom, &mut rng)?);
-            scene(specimen.name.clone(), b.0, b.1, None, "").map(|s| {
-                drop(a);
-                s
-            })
+            let (view, target) = apart(specimen, zoom, &mut rng)?;
+            scene(specimen.name.clone(), view, target, None, "")
         }
         Family::OtherSlide => {
             let (a, b) = (pair(specimen, &mut rng)?, pair(other, &mut rng)?);
@@ -185,6 +176,52 @@ pub(crate) fn draw(family: Family, specimens: &[Specimen], number: u64) -> Optio
         Family::Lattice => lattice(zoom, number, &mut rng),
         Family::Dust => dust(specimens, number, &mut rng),
     }
+}
+
+/// A view and a target in it, at any place and angle.
+fn pair(
+    s: &Specimen,
+    zoom: f64,
+    range: &std::ops::Range<f64>,
+    rng: &mut SplitMix64,
+) -> Option<Pair> {
+    let pitch = pitch(&s.source, zoom);
+    let size = [s.source.width as f64, s.source.height as f64];
+    let half = SIZE.map(|n| 0.5 * pitch * zoom * n as f64);
+    let (source_from_view, source_from_target) = (0..200).find_map(|_| {
+        let turn = 0.4 * (rng.uniform() - 0.5);
+        let (sin, cos) = (turn.abs().sin(), turn.cos());
+        let reach = [cos * half[0] + sin * half[1], sin * half[0] + cos * half[1]];
+        let angle = rng.uniform() * std::f64::consts::TAU;
+        let (mut centre, mut of_target) = ([0.0; 2], [0.0; 2]);
+        for k in 0..2 {
+            let room = size[k] - 2.0 * reach[k];
+            centre[k] = reach[k] + room.max(0.0) * rng.uniform();
+            let off = (rng.uniform() - 0.5) * half[k] * (1.0 - 1.0 / zoom).max(0.3);
+            of_target[k] = centre[k] + off;
+        }
+        let target = about(of_target, angle, pitch);
+        range
+            .contains(&busy(&glance(&s.source, &target)?))
+            .then(|| (about(centre, turn, pitch * zoom), target))
+    })?;
+    Some(Pair {
+        view: s.source.render(&source_from_view, NOISE, rng.next_u64()),
+        target: s.source.render(&source_from_target, NOISE, rng.next_u64()),
+        target_from_view: source_from_target.inverse()?.after(&source_from_view),
+        zoom,
+    })
+}
+
+/// The nearest pixels of a source: enough to see whether something is there.
+fn glance(source: &Source, source_from_pixel: &Affine2) -> Option<GrayImage> {
+    let image = GrayImage::from_fn(SIZE[0], SIZE[1], |x, y| {
+        let p = source_from_pixel.apply([x as f64, y as f64]);
+        let [x, y] = [(p[0], source.width), (p[1], source.height)]
+            .map(|(v, n)| v.round().clamp(0.0, n as f64 - 1.0) as usize);
+        source.data[y * source.width + x]
+    });
+    image.ok()
 }
 
 /// Two windows of a slide that have nothing in common.
@@ -213,9 +250,12 @@ fn apart(s: &Specimen, zoom: f64, rng: &mut SplitMix64) -> Option<(GrayImage, Gr
         if !free {
             return None;
         }
-        let view = s.source.render(&about(a, 0.0, pitch * zoom), NOISE, seeds[0]);
-        let target = s.source.render(&about(b, angle, pitch), NOISE, seeds[1]);
-        (busy(&target) > 0.25 && busy(&view) > 0.2).then_some((view, target))
+        let (of_view, of_target) = (about(a, 0.0, pitch * zoom), about(b, angle, pitch));
+        let textured = |t: &Affine2| glance(&s.source, t).is_some_and(|g| busy(&g) > 0.25);
+        (textured(&of_view) && textured(&of_target)).then(|| {
+            let view = s.source.render(&of_view, NOISE, seeds[0]);
+            (view, s.source.render(&of_target, NOISE, seeds[1]))
+        })
     })
 }
 
@@ -224,7 +264,7 @@ fn serial(specimens: &[Specimen], zoom: f64, rng: &mut SplitMix64) -> Option<Sce
     let section = |end: &str| specimens.iter().find(|s| s.name.ends_with(end));
     let (one, three) = (section("bulb_1")?, section("bulb_3")?);
     let pitch = pitch(&three.source, zoom).min(pitch(&one.source, zoom));
-    let (view, target, at) = (0..40).find_map(|_| {
+    let (of_view, of_target, at) = (0..200).find_map(|_| {
         let share = [0.2 + 0.6 * rng.uniform(), 0.2 + 0.6 * rng.uniform()];
         let place = |s: &Specimen, share: [f64; 2]| {
             [
@@ -233,10 +273,13 @@ fn serial(specimens: &[Specimen], zoom: f64, rng: &mut SplitMix64) -> Option<Sce
             ]
         };
         let angle = rng.uniform() * std::f64::consts::TAU;
-        let view = one.source.render(&about(place(one, share), 0.2, pitch * zoom), NOISE, rng.next_u64());
-        let target = three.source.render(&about(place(three, share), angle, pitch), NOISE, rng.next_u64());
-        (busy(&target) > 0.25).then_some((view, target, share))
+        let of_view = about(place(one, share), 0.2, pitch * zoom);
+        let of_target = about(place(three, share), angle, pitch);
+        let textured = glance(&three.source, &of_target).is_some_and(|g| busy(&g) > 0.25);
+        textured.then_some((of_view, of_target, share))
     })?;
+    let view = one.source.render(&of_view, NOISE, rng.next_u64());
+    let target = three.source.render(&of_target, NOISE, rng.next_u64());
     Some(Scene {
         slide: format!("bulb at {:.2} {:.2}", at[0], at[1]),
         view,
@@ -348,13 +391,11 @@ fn spoil(
         let most = if name == "all" { 3.0 } else { 6.0 };
         image = blurred(&image, most * (0.5 + 0.5 * rng.uniform()))?;
     }
-    let shown = target_from_view.inverse()?;
     // A band across the target's field that hides 40 % of it.
     let from = 0.6 * rng.uniform();
     let grey = rng.uniform();
     let gain = if has("dark") { 0.3 } else { 1.0 };
     let noise = if has("noise") { 15.0 / 255.0 } else { 0.004 };
-    let _ = shown;
     let data = image.data().to_vec();
     let hidden = |x: usize, y: usize| {
         let p = target_from_view.apply([x as f64, y as f64]);
