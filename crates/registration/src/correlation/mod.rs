@@ -19,6 +19,7 @@ use crate::{
     register_correspondences,
 };
 use plane::Plane;
+use search::Peak;
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, Vec2};
 
@@ -54,6 +55,8 @@ const LOG10_PROPOSED: f64 = -0.5;
 const PROPOSED: usize = 3;
 /// and what is another place.
 const LOG10_RIVAL: f64 = -6.0;
+/// Another peak is as high when it is at least this, and this share of the first: ordinary specimens are like themselves elsewhere to 0.44 at most.
+const AS_HIGH: [f32; 2] = [0.45, 0.75];
 /// Another place is as good when its agreement is by this share as improbable.
 const AS_GOOD: f64 = 0.5;
 /// Turned by more than this it is another place, radians; or shifted by so many samples.
@@ -193,50 +196,64 @@ impl Run<'_> {
         let matched = self.matched(&view, &target);
         let angles = search::angles(&matched, self.prior.rotation);
         let peaks = search::peaks(&matched, &angles);
-        let mut proposed: Vec<(f32, Agreed)> = peaks
-            .iter()
-            .filter_map(|peak| {
-                let rough = peak.target_from_view(&matched);
-                Some((peak.height, self.agreed(&matched, &rough, REACH[0])?))
-            })
-            .collect();
+        let finer = (self.levels.search / 2).max(self.levels.finest);
+        let finer = self.planes(finer).ok_or_else(|| blank.clone())?;
+        let finer = self.matched(&finer.0, &finer.1);
+        let look = |peak: &Peak| {
+            let rough = peak.target_from_view(&matched);
+            let seen = self.agreed(&matched, &rough, REACH[0]);
+            // Of what is sparse the coarse blocks are few.
+            let poor = seen.as_ref().is_none_or(|a| a.log10_nfa > LOG10_RIVAL);
+            let closer = poor.then(|| self.agreed(&finer, &rough, REACH[0])).flatten();
+            let all = seen.into_iter().chain(closer);
+            let best = all.min_by(|a, b| a.log10_nfa.total_cmp(&b.log10_nfa))?;
+            Some((*peak, best))
+        };
+        let mut proposed: Vec<(Peak, Agreed)> = peaks.iter().filter_map(look).collect();
         proposed.sort_by(|a, b| a.1.log10_nfa.total_cmp(&b.1.log10_nfa));
         proposed.truncate(PROPOSED);
-        let mut finer: Vec<(f32, Agreed)> = proposed
+        let mut refined: Vec<(Peak, Agreed)> = proposed
             .into_iter()
-            .map(|(height, agreed)| (height, self.finer(agreed)))
+            .map(|(peak, agreed)| (peak, self.finer(agreed)))
             .collect();
-        finer.sort_by(|a, b| a.1.log10_nfa.total_cmp(&b.1.log10_nfa));
-        let mut finer = finer.into_iter();
-        let (height, best) = finer.next().ok_or(blank)?;
-        let others: Vec<(f32, Agreed)> = finer.collect();
-        let (rivals, second) = self.rivals(&best, &others);
-        Ok(self.told(best, rivals, [height, second]))
+        refined.sort_by(|a, b| a.1.log10_nfa.total_cmp(&b.1.log10_nfa));
+        let mut refined = refined.into_iter();
+        let (peak, best) = refined.next().ok_or(blank)?;
+        let mut rivals = self.rivals(&best, refined.as_slice());
+        // What repeats itself has other peaks that are as high, wherever its blocks land.
+        let elsewhere: Vec<(Affine2, f32)> = peaks
+            .iter()
+            .map(|p| (p.target_from_view(&matched), p.height))
+            .filter(|(t, _)| self.elsewhere(&best, t))
+            .collect();
+        let second = elsewhere.iter().map(|p| p.1).fold(0.0, f32::max);
+        if rivals.is_empty() && second >= AS_HIGH[0].max(AS_HIGH[1] * peak.height) {
+            let as_high = elsewhere.iter().filter(|p| p.1 == second);
+            rivals.extend(as_high.filter_map(|(t, _)| self.rival(&best, t, 0)));
+        }
+        Ok(self.told(best, rivals, [peak.height, second]))
     }
 
-    /// Those that say as much of another place, and the highest peak of another place.
-    fn rivals(&self, best: &Agreed, others: &[(f32, Agreed)]) -> (Vec<Rival>, f32) {
-        let (mut rivals, mut second) = (Vec::new(), 0.0f32);
-        let Some(first) = best.registration.found() else {
-            return (rivals, second);
+    /// Those that say as much of another place.
+    fn rivals(&self, best: &Agreed, others: &[(Peak, Agreed)]) -> Vec<Rival> {
+        let as_good = (AS_GOOD * best.log10_nfa).min(LOG10_RIVAL);
+        let others = others.iter().map(|(_, other)| other);
+        let others = others.filter(|other| other.log10_nfa <= as_good);
+        let rival = |other: &Agreed| {
+            let t = &other.registration.found()?.target_from_view;
+            let rival = self.rival(best, t, other.registration.inliers)?;
+            self.elsewhere(best, t).then_some(rival)
         };
+        others.filter_map(rival).collect()
+    }
+
+    /// Whether a transform puts the view at another place, or turns it.
+    fn elsewhere(&self, best: &Agreed, other: &Affine2) -> bool {
         let sample_px = self.prior.scale.map_or(1.0, |s| s.ratio) * self.levels.search as f64;
-        for (height, other) in others {
-            let Some(estimate) = other.registration.found() else {
-                continue;
-            };
-            let (first, estimate) = (&first.target_from_view, &estimate.target_from_view);
-            let rival = self.rival(first, estimate, other, best);
+        self.rival(best, other, 0).is_some_and(|rival| {
             let shift = f64::hypot(rival.shift_px[0], rival.shift_px[1]);
-            if shift < ELSEWHERE * sample_px && rival.turn_rad.abs() < ELSEWHERE_RAD {
-                continue;
-            }
-            second = second.max(*height);
-            if other.log10_nfa <= (AS_GOOD * best.log10_nfa).min(LOG10_RIVAL) {
-                rivals.push(rival);
-            }
-        }
-        (rivals, second)
+            shift > ELSEWHERE * sample_px || rival.turn_rad.abs() > ELSEWHERE_RAD
+        })
     }
 
     fn planes(&self, every: usize) -> Option<(Plane, Plane)> {
@@ -323,18 +340,20 @@ impl Run<'_> {
         }
     }
 
-    fn rival(&self, first: &Affine2, other: &Affine2, those: &Agreed, all: &Agreed) -> Rival {
-        let middle = centre(size(self.view));
+    /// As seen from the target's centre: there it is told how far both are apart.
+    fn rival(&self, best: &Agreed, other: &Affine2, places: usize) -> Option<Rival> {
+        let first = &best.registration.found()?.target_from_view;
+        let middle = first.inverse()?.apply(centre(size(self.target)));
         let (a, b) = (first.apply(middle), other.apply(middle));
-        let angle = |t: &Affine2| t.linear.rotation_angle().unwrap_or(f64::NAN);
-        Rival {
+        let angle = |t: &Affine2| t.linear.rotation_angle();
+        Some(Rival {
             target_from_view: *other,
             shift_px: [b[0] - a[0], b[1] - a[1]],
-            turn_rad: wrap(angle(other) - angle(first)),
-            places: those.registration.inliers,
-            asked: all.registration.inliers,
+            turn_rad: wrap(angle(other)? - angle(first)?),
+            places,
+            asked: best.registration.inliers,
             significant: true,
-        }
+        })
     }
 
     fn told(&self, best: Agreed, rivals: Vec<Rival>, peaks: [f32; 2]) -> Correlation {

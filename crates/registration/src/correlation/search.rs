@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 
 /// Peaks of one angle that are kept, and of all angles.
 const OF_EACH: usize = 3;
-const MOST: usize = 8;
+const MOST: usize = 12;
 /// Peaks nearer than this are one, samples.
 const APART: f64 = 4.0;
 /// A view that has less in it than this share of the target's energy is taken for one that has.
