@@ -57,12 +57,18 @@ fn a_target_is_found_at_any_angle_and_scale_to_a_part_of_a_pixel_of_the_view() {
     for (k, ratio) in [4.0, 4.35, 2.0, 2.0, 1.0, 1.0].into_iter().enumerate() {
         let scene = tissue(k as u64, ratio);
         let angle = 360.0 * rng.uniform();
-        let off = [120.0 * ratio * (rng.uniform() - 0.5), 90.0 * ratio * (rng.uniform() - 0.5)];
+        let off = [
+            120.0 * ratio * (rng.uniform() - 0.5),
+            90.0 * ratio * (rng.uniform() - 0.5),
+        ];
         let from_scene = view_from_scene(ratio, angle, off);
         let target = scene.frame(SIZE, &target_from_scene(), 0.008, 1);
         let view = scene.frame(SIZE, &from_scene, 0.008, 2 + k as u64);
         let told = seen((&view, None), (&target, None), ratio, None);
-        let found = told.registration.found().unwrap_or_else(|| panic!("{ratio} {angle} {told:?}"));
+        let found = told
+            .registration
+            .found()
+            .unwrap_or_else(|| panic!("{ratio} {angle} {told:?}"));
         let right = truth(&from_scene);
         let back = right.inverse().unwrap().apply(CENTRE);
         let at = found.target_from_view.apply(back);
@@ -122,8 +128,18 @@ fn a_few_degrees_are_looked_at_where_they_are_known_and_no_others() {
             tolerance_rad: 0.17,
         })
     };
-    assert!(seen((&view, None), (&target, None), 2.0, around(0.1)).registration.found().is_some());
-    assert!(seen((&view, None), (&target, None), 2.0, around(1.0)).registration.found().is_none());
+    assert!(
+        seen((&view, None), (&target, None), 2.0, around(0.1))
+            .registration
+            .found()
+            .is_some()
+    );
+    assert!(
+        seen((&view, None), (&target, None), 2.0, around(1.0))
+            .registration
+            .found()
+            .is_none()
+    );
 }
 
 #[test]
@@ -134,11 +150,23 @@ fn other_specimens_blank_glass_and_mirror_images_are_not_found() {
         let from_scene = view_from_scene(ratio, 20.0, [30.0, 10.0]);
         let no = |view: &GrayImage, what: &str| {
             let told = seen((view, None), (&target, None), ratio, None);
-            assert!(told.registration.found().is_none(), "{what} at {ratio}: {told:?}");
+            assert!(
+                told.registration.found().is_none(),
+                "{what} at {ratio}: {told:?}"
+            );
         };
-        no(&tissue(seed + 100, ratio).frame(SIZE, &from_scene, 0.008, 2), "another specimen");
-        no(&frame(&vec![0.85; SIZE[0] * SIZE[1]], SIZE, 0.008, 3), "blank glass");
-        no(&frame(&vec![0.85; SIZE[0] * SIZE[1]], SIZE, 0.0, 3), "a clean blank");
+        no(
+            &tissue(seed + 100, ratio).frame(SIZE, &from_scene, 0.008, 2),
+            "another specimen",
+        );
+        no(
+            &frame(&vec![0.85; SIZE[0] * SIZE[1]], SIZE, 0.008, 3),
+            "blank glass",
+        );
+        no(
+            &frame(&vec![0.85; SIZE[0] * SIZE[1]], SIZE, 0.0, 3),
+            "a clean blank",
+        );
         let view = tissue(seed, ratio).frame(SIZE, &from_scene, 0.008, 4);
         let mirror = GrayImage::from_fn(SIZE[0], SIZE[1], |x, y| view.get(SIZE[0] - 1 - x, y));
         no(&mirror.unwrap(), "its mirror image");
@@ -171,7 +199,10 @@ fn a_lattice_and_two_equal_places_are_never_told_as_one() {
     let target = Scene { spots: once }.frame(SIZE, &target_from_scene(), 0.008, 1);
     let view = scene.frame(SIZE, &view_from_scene(4.0, 5.0, [0.0; 2]), 0.008, 2);
     let told = seen((&view, None), (&target, None), 4.0, None);
-    assert!(told.registration.found().is_none() || told.rivals.len() == 1, "{told:?}");
+    assert!(
+        told.registration.found().is_none() || told.rivals.len() == 1,
+        "{told:?}"
+    );
     if let Some(rival) = told.rivals.first() {
         let [x, y] = rival.shift_px;
         assert!((f64::hypot(x, y) - 1200.0).abs() < 2.0, "{x} {y}");
@@ -194,7 +225,13 @@ fn behind_dust(image: &GrayImage, spots: &[[f64; 3]]) -> GrayImage {
 fn dust_is_masked_and_what_it_hides_is_found_behind_it() {
     let mut rng = SplitMix64::new(60);
     let spots: Vec<[f64; 3]> = (0..30)
-        .map(|_| [640.0 * rng.uniform(), 480.0 * rng.uniform(), 4.0 + 8.0 * rng.uniform()])
+        .map(|_| {
+            [
+                640.0 * rng.uniform(),
+                480.0 * rng.uniform(),
+                4.0 + 8.0 * rng.uniform(),
+            ]
+        })
         .collect();
     let free = |p: Vec2| {
         !spots
@@ -214,7 +251,10 @@ fn dust_is_masked_and_what_it_hides_is_found_behind_it() {
     }
     // Glass with the same dust, masked: nothing is left to agree.
     let blank = |seed| frame(&vec![0.85; SIZE[0] * SIZE[1]], SIZE, 0.008, seed);
-    let (one, other) = (behind_dust(&blank(3), &spots), behind_dust(&blank(4), &spots));
+    let (one, other) = (
+        behind_dust(&blank(3), &spots),
+        behind_dust(&blank(4), &spots),
+    );
     let told = seen((&one, Some(counts)), (&other, Some(counts)), 1.0, None);
     assert!(told.registration.found().is_none(), "{told:?}");
 }
@@ -226,7 +266,8 @@ fn the_answer_is_the_same_on_any_number_of_threads() {
     let view = scene.frame(SIZE, &view_from_scene(4.0, -50.0, [200.0, 100.0]), 0.008, 2);
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        pool.unwrap().install(|| seen((&view, None), (&target, None), 4.0, None))
+        pool.unwrap()
+            .install(|| seen((&view, None), (&target, None), 4.0, None))
     };
     assert_eq!(on(1), on(3));
 }

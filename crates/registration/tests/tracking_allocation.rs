@@ -8,9 +8,21 @@ use scopeservo_registration::tracking::Tracker;
 #[test]
 fn following_allocates_nothing() {
     let scene = Scene::random(1, 2500, 450.0, 1.5..12.0);
-    let frame = |x: f64| scene.frame([640, 480], &placed(1.0, 0.0, [0.0; 2], [319.5 + x, 239.5]), 0.01, 3);
+    let frame = |x: f64| {
+        scene.frame(
+            [640, 480],
+            &placed(1.0, 0.0, [0.0; 2], [319.5 + x, 239.5]),
+            0.01,
+            3,
+        )
+    };
     let (first, second) = (frame(0.0), frame(7.3));
-    let other = Scene::random(2, 2500, 450.0, 1.5..12.0).frame([640, 480], &placed(1.0, 0.0, [0.0; 2], [319.5; 2]), 0.01, 3);
+    let other = Scene::random(2, 2500, 450.0, 1.5..12.0).frame(
+        [640, 480],
+        &placed(1.0, 0.0, [0.0; 2], [319.5; 2]),
+        0.01,
+        3,
+    );
     let made = allocation_counter::measure(|| {
         let _ = std::hint::black_box(Tracker::new(&first));
     });

@@ -25,7 +25,10 @@ fn main() -> Result<(), Failure> {
     let mut source = None;
     for line in std::io::stdin().lines() {
         let answer = answer(&serde_json::from_str(&line?)?, &mut source);
-        println!("{}", answer.unwrap_or_else(|e| json!({ "error": e.to_string() })));
+        println!(
+            "{}",
+            answer.unwrap_or_else(|e| json!({ "error": e.to_string() }))
+        );
     }
     Ok(())
 }
@@ -39,7 +42,9 @@ fn answer(request: &Value, source: &mut Option<(String, Source)>) -> Answer {
         return pair(request, source);
     }
     let threads = request["threads"].as_u64().unwrap_or(1) as usize;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()?;
     let [view, target] = ["view", "target"].map(|key| read_pgm(text(request, key)?));
     let (view, target) = (view?, target?);
     pool.install(|| match piece {
@@ -81,7 +86,11 @@ fn pair(request: &Value, kept: &mut Option<(String, Source)>) -> Answer {
             offset: [centre[0] - moved[0], centre[1] - moved[1]],
         }
     };
-    let of_view = about([0, 1].map(|k| middle[k] + pitch * off[k]), 0.2, pitch * ratio);
+    let of_view = about(
+        [0, 1].map(|k| middle[k] + pitch * off[k]),
+        0.2,
+        pitch * ratio,
+    );
     let of_target = about(middle, 0.2 - turn.to_radians(), pitch);
     let view = source.render_sized(size, &of_view, 0.008, 1);
     let target = source.render_sized(size, &of_target, 0.008, 2);
@@ -136,7 +145,13 @@ fn by_features(request: &Value, view: &GrayImage, target: &GrayImage) -> Answer 
     };
     let (ms, found) = repeat(request, || {
         let view = engine.features(view, 3000)?;
-        Ok::<_, Failure>(register(&*engine, &view, &target, &prior, &Options::default()))
+        Ok::<_, Failure>(register(
+            &*engine,
+            &view,
+            &target,
+            &prior,
+            &Options::default(),
+        ))
     });
     Ok(json!({ "ms": ms, "answer": found?.found().map(|e| e.target_from_view) }))
 }

@@ -180,7 +180,9 @@ fn peak(like: &[f32], across: usize) -> Option<Found> {
     if !inside(x) || !inside(y) || height < LEAST_CORRELATION {
         return None;
     }
-    let at = |dx: i64, dy: i64| f64::from(like[((y as i64 + dy) * across as i64 + x as i64 + dx) as usize]);
+    let at = |dx: i64, dy: i64| {
+        f64::from(like[((y as i64 + dy) * across as i64 + x as i64 + dx) as usize])
+    };
     // The parabola through each three samples.
     let along = |before: f64, after: f64| {
         let bend = before + after - 2.0 * f64::from(height);

@@ -19,9 +19,11 @@ use crate::{
     register_correspondences,
 };
 use plane::Plane;
-use search::Peak;
+use rayon::prelude::*;
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, Vec2};
+use search::Peak;
+use std::sync::OnceLock;
 
 /// Whether a pixel counts: not where something is fixed to the camera.
 pub type Counts<'a> = dyn Fn(Vec2) -> bool + Sync + 'a;
@@ -55,6 +57,8 @@ const LOG10_PROPOSED: f64 = -0.5;
 const PROPOSED: usize = 3;
 /// and what is another place.
 const LOG10_RIVAL: f64 = -6.0;
+/// A peak that is lower than this share of one that is sure is no rival.
+const FAR_LOWER: f32 = 0.6;
 /// Another peak is as high when it is at least this, and this share of the first: ordinary specimens are like themselves elsewhere to 0.44 at most.
 const AS_HIGH: [f32; 2] = [0.45, 0.75];
 /// Another place is as good when its agreement is by this share as improbable.
@@ -144,11 +148,19 @@ fn size(picture: &Picture<'_>) -> [usize; 2] {
     [picture.image.width(), picture.image.height()]
 }
 
-/// View pixels that make a sample, at the finest level and where the search is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// The most improbable agreement first; of equals the higher peak stays first.
+fn sort(all: &mut [(Peak, Agreed)]) {
+    all.sort_by(|a, b| a.1.log10_nfa.total_cmp(&b.1.log10_nfa));
+}
+
+/// View and target, made when they are asked for.
+type Planes = OnceLock<Option<(Plane, Plane)>>;
+
+/// View pixels that make a sample, from where the search is to the finest, and the planes there.
 struct Levels {
-    finest: usize,
+    planes: Vec<(usize, Planes)>,
     search: usize,
+    finest: usize,
 }
 
 impl Levels {
@@ -164,10 +176,17 @@ impl Levels {
             longer(size(target)) / ratio / every as f64 <= TARGET_SAMPLES
                 && w.max(h) as f64 / every as f64 <= VIEW_SAMPLES
         };
-        let search = (0..).map(|k| finest << k).find(|&every| fits(every));
+        let mut levels = vec![finest];
+        while levels.last().is_some_and(|&every| !fits(every)) {
+            levels.extend(levels.last().map(|every| 2 * every));
+        }
+        let search = levels.last().copied().unwrap_or(finest);
+        levels.reverse();
+        let planes = levels.into_iter().map(|every| (every, OnceLock::new()));
         Self {
+            planes: planes.collect(),
+            search,
             finest,
-            search: search.unwrap_or(finest),
         }
     }
 }
@@ -191,32 +210,26 @@ struct Run<'a> {
 impl Run<'_> {
     fn answer(&self) -> Result<Correlation, NotFound> {
         let blank = NotFound::NoAgreement { matches: 0 };
-        let planes = self.planes(self.levels.search);
-        let (view, target) = planes.ok_or_else(|| blank.clone())?;
-        let matched = self.matched(&view, &target);
+        let matched = self.at(0).ok_or_else(|| blank.clone())?;
         let angles = search::angles(&matched, self.prior.rotation);
         let peaks = search::peaks(&matched, &angles);
-        let finer = (self.levels.search / 2).max(self.levels.finest);
-        let finer = self.planes(finer).ok_or_else(|| blank.clone())?;
-        let finer = self.matched(&finer.0, &finer.1);
-        let look = |peak: &Peak| {
-            let rough = peak.target_from_view(&matched);
-            let seen = self.agreed(&matched, &rough, REACH[0]);
-            // Of what is sparse the coarse blocks are few.
-            let poor = seen.as_ref().is_none_or(|a| a.log10_nfa > LOG10_RIVAL);
-            let closer = poor.then(|| self.agreed(&finer, &rough, REACH[0])).flatten();
-            let all = seen.into_iter().chain(closer);
-            let best = all.min_by(|a, b| a.log10_nfa.total_cmp(&b.log10_nfa))?;
-            Some((*peak, best))
-        };
-        let mut proposed: Vec<(Peak, Agreed)> = peaks.iter().filter_map(look).collect();
-        proposed.sort_by(|a, b| a.1.log10_nfa.total_cmp(&b.1.log10_nfa));
+        let mut proposed = self.proposed(&matched, &peaks);
+        // Of what is sparse the coarse blocks are few.
+        let poor = proposed
+            .first()
+            .is_none_or(|(_, a)| a.log10_nfa > LOG10_CHANCE);
+        if let Some(closer) = self.at(1).filter(|_| poor) {
+            proposed.extend(self.proposed(&closer, &peaks[..peaks.len().min(PROPOSED)]));
+        }
+        sort(&mut proposed);
         proposed.truncate(PROPOSED);
+        let least = proposed.first().map_or(0.0, |(_, a)| AS_GOOD * a.log10_nfa);
+        proposed.retain(|(_, a)| a.log10_nfa <= least.max(LOG10_RIVAL));
         let mut refined: Vec<(Peak, Agreed)> = proposed
-            .into_iter()
+            .into_par_iter()
             .map(|(peak, agreed)| (peak, self.finer(agreed)))
             .collect();
-        refined.sort_by(|a, b| a.1.log10_nfa.total_cmp(&b.1.log10_nfa));
+        sort(&mut refined);
         let mut refined = refined.into_iter();
         let (peak, best) = refined.next().ok_or(blank)?;
         let mut rivals = self.rivals(&best, refined.as_slice());
@@ -232,6 +245,22 @@ impl Run<'_> {
             rivals.extend(as_high.filter_map(|(t, _)| self.rival(&best, t, 0)));
         }
         Ok(self.told(best, rivals, [peak.height, second]))
+    }
+
+    /// What the blocks around each peak agree on. Where the first ones do, far lower ones are not looked at.
+    fn proposed(&self, matched: &Matched<'_>, peaks: &[Peak]) -> Vec<(Peak, Agreed)> {
+        let look = |peak: &Peak| {
+            let rough = peak.target_from_view(&self.at(0)?);
+            Some((*peak, self.agreed(matched, &rough, REACH[0])?))
+        };
+        let (first, others) = peaks.split_at(peaks.len().min(2));
+        let mut all: Vec<(Peak, Agreed)> = first.par_iter().filter_map(look).collect();
+        let sure = all.iter().filter(|(_, a)| a.log10_nfa <= LOG10_CHANCE);
+        let least = FAR_LOWER * sure.map(|(p, _)| p.height).fold(0.0, f32::max);
+        let others = others.par_iter().filter(|p| p.height >= least);
+        all.par_extend(others.filter_map(look));
+        sort(&mut all);
+        all
     }
 
     /// Those that say as much of another place.
@@ -256,30 +285,31 @@ impl Run<'_> {
         })
     }
 
-    fn planes(&self, every: usize) -> Option<(Plane, Plane)> {
+    /// View and target at a level, counted from where the search is.
+    fn at(&self, level: usize) -> Option<Matched<'_>> {
         let ratio = self.prior.scale?.ratio;
-        // What the view's sample covers, or a little less.
-        let of_target = ((ratio * every as f64 + 1e-6) as usize).max(1);
-        Some((
-            Plane::of(self.view, every)?,
-            Plane::of(self.target, of_target)?,
-        ))
-    }
-
-    fn matched<'p>(&self, view: &'p Plane, target: &'p Plane) -> Matched<'p> {
-        Matched {
+        let (every, planes) = self.levels.planes.get(level)?;
+        let planes = planes.get_or_init(|| {
+            // What the view's sample covers, or a little less.
+            let of_target = ((ratio * *every as f64 + 1e-6) as usize).max(1);
+            Some((
+                Plane::of(self.view, *every)?,
+                Plane::of(self.target, of_target)?,
+            ))
+        });
+        let (view, target) = planes.as_ref()?;
+        Some(Matched {
             view,
             target,
             view_size: size(self.view),
             target_size: size(self.target),
-            ratio: self.prior.scale.map_or(1.0, |s| s.ratio),
-        }
+            ratio,
+        })
     }
 
     /// What the blocks around a transform agree on.
     fn agreed(&self, matched: &Matched<'_>, rough: &Affine2, reach: usize) -> Option<Agreed> {
-        let correspondences =
-            blocks::correspondences(matched, rough, self.levels.finest, reach)?;
+        let correspondences = blocks::correspondences(matched, rough, self.levels.finest, reach)?;
         let sample_px = matched.ratio * matched.view.every as f64;
         let options = Options {
             // In pixels of the coarser image.
@@ -305,39 +335,32 @@ impl Run<'_> {
 
     /// The same at finer levels, as far as they say more.
     fn finer(&self, mut best: Agreed) -> Agreed {
-        let mut every = self.levels.search;
-        loop {
-            let Some((view, target)) = self.planes(every) else {
+        let last = self.levels.planes.len() - 1;
+        for level in last.min(1)..=last {
+            let (Some(matched), Some(found)) = (self.at(level), best.registration.found()) else {
                 return best;
             };
-            let matched = self.matched(&view, &target);
-            let sigma_px = |a: &Agreed| a.registration.found().map(|e| e.sigma_px);
-            let Some(from) = best.registration.found() else {
-                return best;
-            };
-            let from = from.target_from_view;
+            let was = found.sigma_px;
+            let from = found.target_from_view;
             let mut again = self.agreed(&matched, &from, REACH[1]);
-            // Blocks that are put where they belong are not drawn to whole samples.
-            if let Some(found) = again.as_ref().and_then(|a| a.registration.found()) {
+            if level == last
+                && let Some(found) = again.as_ref().and_then(|a| a.registration.found())
+            {
+                // Blocks that are put where they belong are not drawn to whole samples.
                 let rough = found.target_from_view;
                 again = self.agreed(&matched, &rough, REACH[1]).or(again);
             }
-            let better = again.filter(|a| {
-                let (was, is) = (sigma_px(&best), sigma_px(a));
-                is.is_some_and(|is| every == self.levels.search || was.is_none_or(|was| is < was))
-            });
-            let Some(better) = better else {
+            let sigma_px = |a: &Agreed| a.registration.found().map(|e| e.sigma_px);
+            let more = |a: &Agreed| sigma_px(a).is_some_and(|is| last == 0 || is < was);
+            let Some(better) = again.filter(more) else {
                 return best;
             };
             best = Agreed {
                 log10_nfa: better.log10_nfa.min(best.log10_nfa),
                 ..better
             };
-            if every == self.levels.finest {
-                return best;
-            }
-            every = (every / 2).max(self.levels.finest);
         }
+        best
     }
 
     /// As seen from the target's centre: there it is told how far both are apart.

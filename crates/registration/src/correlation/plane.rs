@@ -131,7 +131,6 @@ impl Plane {
         let [c, d] = [self.values[k + self.width], self.values[k + self.width + 1]];
         (1.0 - v) * (a + u * (b - a)) + v * (c + u * (d - c))
     }
-
 }
 
 /// The means of squares of pixels.
@@ -308,7 +307,12 @@ mod tests {
         let (one, other) = (tissue(0.2, 0.1), tissue(0.05, 0.6));
         let (a, b) = (plane(&one, None), plane(&other, None));
         let apart = |(x, y): (&f32, &f32)| (x - y).abs();
-        let most = a.values.iter().zip(&b.values).map(apart).fold(0.0, f32::max);
+        let most = a
+            .values
+            .iter()
+            .zip(&b.values)
+            .map(apart)
+            .fold(0.0, f32::max);
         assert!(most < 0.02, "{most}");
         let left = |p: Vec2| p[0] < 160.0;
         let masked = plane(&one, Some(&left));

@@ -58,8 +58,7 @@ pub(super) fn peaks(matched: &Matched<'_>, angles: &[f64]) -> Vec<Peak> {
     let view = matched.view;
     let [tw, th] = matched.target_samples();
     let across = f64::hypot(tw, th).ceil() as usize + 2;
-    // What hangs over on the right and what does on the left share one margin, where nothing is.
-    let size = [view.width, view.height].map(|side| smooth_size(side + across / 2 + 1));
+    let size = padded(view, across);
     let fourier = Fourier::new(size);
     let mut plane = fourier.plane();
     for (row, values) in (plane.chunks_exact_mut(size[0])).zip(view.values.chunks_exact(view.width))
@@ -68,15 +67,14 @@ pub(super) fn peaks(matched: &Matched<'_>, angles: &[f64]) -> Vec<Peak> {
     }
     let mut spectrum = fourier.plane();
     fourier.forward(&mut plane, &mut spectrum, &mut fourier.scratch());
-    let energy = energies(view, (tw * th).sqrt());
+    let share = shares(matched);
     let pairs: Vec<&[f64]> = angles.chunks(2).collect();
     let found = pairs.par_iter().map_init(
         || [fourier.plane(), fourier.plane(), fourier.scratch()],
         |[plane, product, scratch], pair| {
             plane.fill(C32::default());
-            let mut own = [0.0f32; 2];
             for (k, angle) in pair.iter().enumerate() {
-                own[k] = turned(matched, *angle, across / 2, plane, size, k == 1);
+                turned(matched, *angle, across / 2, plane, size, k == 1);
             }
             fourier.forward(plane, product, scratch);
             let each = product.iter_mut().zip(&spectrum);
@@ -84,12 +82,9 @@ pub(super) fn peaks(matched: &Matched<'_>, angles: &[f64]) -> Vec<Peak> {
             fourier.inverse(product, plane, scratch);
             let mut peaks = Vec::new();
             for (k, &angle) in pair.iter().enumerate() {
-                let scale = 1.0 / fourier.len() as f32;
                 let height = |x: usize, y: usize| {
                     let c = plane[y * size[0] + x];
-                    let number = if k == 0 { c.re } else { c.im };
-                    let seen = tw as f32 * th as f32 * energy[y * view.width + x];
-                    number * scale / (own[k] * (seen + LEAST_ENERGY * own[k])).sqrt().max(1e-6)
+                    (if k == 0 { c.re } else { c.im }) * share[y * view.width + x]
                 };
                 let found = local(view, &height);
                 peaks.extend(found.into_iter().map(|(at, height)| Peak {
@@ -105,15 +100,33 @@ pub(super) fn peaks(matched: &Matched<'_>, angles: &[f64]) -> Vec<Peak> {
     apart(all.into_iter().flatten().collect())
 }
 
-/// The mean square of the view's values around each sample, over a square as large as the target.
-fn energies(view: &Plane, side: f64) -> Vec<f32> {
+/// What makes a correlation of a sum of products, for each place: by the energy of the target and that of the view around it, over a square as
+/// large as the target.
+fn shares(matched: &Matched<'_>) -> Vec<f32> {
+    let (view, target) = (matched.view, matched.target);
+    let [w, h] = matched.target_samples();
+    let area = (w * h) as f32;
+    let all: f32 = target.values.iter().map(|v| v * v).sum();
+    let own = area * all / target.values.len() as f32;
     let mut energy: Vec<f32> = view.values.iter().map(|v| v * v).collect();
-    let reach = (0.5 * side).round() as usize;
+    let reach = (0.5 * f64::from(area).sqrt()).round() as usize;
     box_mean(&mut energy, view.width, view.height, reach);
-    energy
+    let across = f64::hypot(w, h).ceil() as usize + 2;
+    // A transform there and back is not divided by the number of values.
+    let count: usize = padded(view, across).iter().product();
+    let share = |e: f32| {
+        let product = own * (area * e + LEAST_ENERGY * own);
+        1.0 / (count as f32 * product.sqrt().max(1e-6))
+    };
+    energy.into_iter().map(share).collect()
 }
 
-/// Draws the target, turned and read backwards about the origin, as real or as imaginary part; tells its energy.
+/// What hangs over on the right and what does on the left share one margin, where nothing is.
+fn padded(view: &Plane, across: usize) -> [usize; 2] {
+    [view.width, view.height].map(|side| smooth_size(side + across / 2 + 1))
+}
+
+/// Draws the target, turned and read backwards about the origin, as real or as imaginary part.
 fn turned(
     matched: &Matched<'_>,
     angle_rad: f64,
@@ -121,12 +134,11 @@ fn turned(
     plane: &mut [C32],
     size: [usize; 2],
     imaginary: bool,
-) -> f32 {
+) {
     let (target, pitch) = (matched.target, matched.target_pitch());
     let linear = Mat2::rotation(angle_rad) * pitch;
     let centre = [target.width, target.height].map(|n| (n as f64 - 1.0) / 2.0);
     let reach = reach as i64;
-    let mut energy = 0.0;
     for y in -reach..=reach {
         let row = (-y).rem_euclid(size[1] as i64) as usize * size[0];
         for x in -reach..=reach {
@@ -135,7 +147,6 @@ fn turned(
             if value == 0.0 {
                 continue;
             }
-            energy += value * value;
             let c = &mut plane[row + (-x).rem_euclid(size[0] as i64) as usize];
             match imaginary {
                 true => c.im += value,
@@ -143,11 +154,10 @@ fn turned(
             }
         }
     }
-    energy
 }
 
 /// The highest places that are higher than those around them.
-fn local(view: &Plane, height: &dyn Fn(usize, usize) -> f32) -> Vec<([usize; 2], f32)> {
+fn local(view: &Plane, height: &impl Fn(usize, usize) -> f32) -> Vec<([usize; 2], f32)> {
     let mut best: Vec<([usize; 2], f32)> = Vec::new();
     for y in 0..view.height {
         for x in 0..view.width {

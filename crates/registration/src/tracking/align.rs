@@ -84,7 +84,16 @@ impl Patch {
         let row = |(&([x, y], _), &[px, py]): (&([usize; 2], f32), &[f32; 2])| {
             let [gx, gy] = gradient(x, y);
             let value = image[y * w + x];
-            [gx * px + gy * py, gy * px - gx * py, gx, gy, value, 1.0, 0.0, 0.0]
+            [
+                gx * px + gy * py,
+                gy * px - gx * py,
+                gx,
+                gy,
+                value,
+                1.0,
+                0.0,
+                0.0,
+            ]
         };
         let rows = chosen.iter().zip(&points).map(row).collect();
         Some(Self {
@@ -111,7 +120,8 @@ impl Patch {
             let seen = self.look(frame, &aligned.motion, gain, offset);
             let deviation = self.median(f32::abs);
             let sums = self.sums(deviation);
-            let normal: [[f64; 6]; 6] = std::array::from_fn(|i| std::array::from_fn(|j| sums[i][j]));
+            let normal: [[f64; 6]; 6] =
+                std::array::from_fn(|i| std::array::from_fn(|j| sums[i][j]));
             let Some(inverse) = cholesky_inverse(&normal) else {
                 return aligned;
             };

@@ -37,7 +37,9 @@ pub enum Lost {
     #[error("the frame has another size than the reference")]
     Size,
     /// It shows something else, or lies too far away.
-    #[error("the frame does not show the reference near where it was (correlation {correlation:.2})")]
+    #[error(
+        "the frame does not show the reference near where it was (correlation {correlation:.2})"
+    )]
     Elsewhere {
         /// What remains of it, 1 for what is the same.
         correlation: f64,
@@ -197,7 +199,10 @@ fn estimate(aligned: &Aligned, size: [usize; 2]) -> Option<Estimate> {
     // To first order the inverse is off by as much, the other way.
     let centre = size.map(|n| (n as f64 - 1.0) / 2.0);
     let of = |[da, db, dx, dy]: [f64; 4]| {
-        let at = [da * centre[0] - db * centre[1], db * centre[0] + da * centre[1]];
+        let at = [
+            da * centre[0] - db * centre[1],
+            db * centre[0] + da * centre[1],
+        ];
         [da, -db, dx - at[0], db, da, dy - at[1]]
     };
     let pixel = HALF.0 as f64;

@@ -50,7 +50,12 @@ impl Scene {
     }
 
     /// Light at each pixel: 0.85, less what the spots take away. Each pixel sees the mean over its area, and `blur_px` more.
-    pub(crate) fn light(&self, [w, h]: [usize; 2], pixel_from_scene: &Affine2, blur_px: f64) -> Vec<f64> {
+    pub(crate) fn light(
+        &self,
+        [w, h]: [usize; 2],
+        pixel_from_scene: &Affine2,
+        blur_px: f64,
+    ) -> Vec<f64> {
         let mut light = vec![0.85; w * h];
         let scale = pixel_from_scene.linear.det().abs().sqrt();
         for spot in &self.spots {
@@ -74,7 +79,13 @@ impl Scene {
     }
 
     /// The frame of a camera with noise.
-    pub(crate) fn frame(&self, size: [usize; 2], pixel_from_scene: &Affine2, noise: f64, seed: u64) -> GrayImage {
+    pub(crate) fn frame(
+        &self,
+        size: [usize; 2],
+        pixel_from_scene: &Affine2,
+        noise: f64,
+        seed: u64,
+    ) -> GrayImage {
         frame(&self.light(size, pixel_from_scene, 0.0), size, noise, seed)
     }
 }

@@ -94,7 +94,9 @@ fn judge(scene: &Scene, found: Option<&Affine2>) -> (Answer, Option<[f64; 2]>) {
     let Some(found) = found else {
         return (Answer::NotFound, None);
     };
-    let off = scene.target_from_view.and_then(|truth| off_px(found, &truth));
+    let off = scene
+        .target_from_view
+        .and_then(|truth| off_px(found, &truth));
     let answer = match off {
         Some([off, _]) if off <= 12.0 => Answer::Right,
         Some([off, _]) if off <= 40.0 => Answer::Rough,
@@ -118,7 +120,13 @@ fn record(family: Family, number: u64, scene: &Scene, alone: bool) -> Result<Rec
         counts: None,
     };
     let start = Instant::now();
-    let seen = correlate(&picture(&scene.view), &picture(&scene.target), scale, None, &options);
+    let seen = correlate(
+        &picture(&scene.view),
+        &picture(&scene.target),
+        scale,
+        None,
+        &options,
+    );
     let ms = start.elapsed().as_secs_f64() * 1e3;
     let found = seen.registration.found();
     let (mut answer, off) = judge(scene, found.map(|e| &e.target_from_view));
@@ -193,10 +201,16 @@ fn main() -> Result<(), Box<dyn Error>> {
             "family,number,slide,spoilt,zoom,busy,answer,by_features,features,off_px,centre_px,sigma_px,log10_nfa,inliers,blocks,peak,second,ms"
         )?;
     }
-    println!("family pairs right rough false ambiguous not_found | by features | least and greatest log10 of chance");
+    println!(
+        "family pairs right rough false ambiguous not_found | by features | least and greatest log10 of chance"
+    );
     let mut wrong = 0;
     for family in Family::EACH {
-        if arguments.family.as_ref().is_some_and(|f| *f != format!("{family:?}")) {
+        if arguments
+            .family
+            .as_ref()
+            .is_some_and(|f| *f != format!("{family:?}"))
+        {
             continue;
         }
         let records: Vec<Record> = (0..arguments.count)
@@ -228,7 +242,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         wrong += records.iter().filter(|r| r.answer == Answer::False).count();
         wrong += records
             .iter()
-            .filter(|r| family == Family::Lattice && r.answer == Answer::Right && !r.family.positive())
+            .filter(|r| {
+                family == Family::Lattice && r.answer == Answer::Right && !r.family.positive()
+            })
             .count();
     }
     if wrong > 0 {

@@ -146,7 +146,13 @@ pub(crate) fn draw(family: Family, specimens: &[Specimen], number: u64) -> Optio
         Family::Hard | Family::HardSparse => {
             let p = pair(specimen, &mut rng)?;
             let (spoilt, view) = spoil(&p.view, &p.target_from_view, number / 3, &mut rng)?;
-            scene(specimen.name.clone(), view, p.target, Some(p.target_from_view), spoilt)
+            scene(
+                specimen.name.clone(),
+                view,
+                p.target,
+                Some(p.target_from_view),
+                spoilt,
+            )
         }
         Family::Elsewhere => {
             let (view, target) = apart(specimen, zoom, &mut rng)?;
@@ -296,12 +302,17 @@ fn lattice(zoom: f64, number: u64, rng: &mut SplitMix64) -> Option<Scene> {
     let disorder = [0.0, 0.01][number as usize / 3 % 2];
     let seed = rng.next_u64();
     let off = |i: i64, j: i64| {
-        let mut own = SplitMix64::new(seed ^ (i as u64).wrapping_mul(0x9E37_79B9) ^ (j as u64).wrapping_mul(0x85EB_CA6B));
+        let mut own = SplitMix64::new(
+            seed ^ (i as u64).wrapping_mul(0x9E37_79B9) ^ (j as u64).wrapping_mul(0x85EB_CA6B),
+        );
         [0.0; 2].map(|_: f64| disorder * own.normal())
     };
     // In target pixels.
     let light = |p: Vec2, width: f64| {
-        let (ci, cj) = ((p[0] / spacing).round() as i64, (p[1] / spacing).round() as i64);
+        let (ci, cj) = (
+            (p[0] / spacing).round() as i64,
+            (p[1] / spacing).round() as i64,
+        );
         let mut sum = 0.0;
         for j in cj - 1..=cj + 1 {
             for i in ci - 1..=ci + 1 {
@@ -318,7 +329,10 @@ fn lattice(zoom: f64, number: u64, rng: &mut SplitMix64) -> Option<Scene> {
     let angle = rng.uniform() * std::f64::consts::TAU;
     let linear = Mat2::rotation(angle) * zoom;
     let (w, h) = (SIZE[0] as f64, SIZE[1] as f64);
-    let place = [w * (0.3 + 0.4 * rng.uniform()), h * (0.3 + 0.4 * rng.uniform())];
+    let place = [
+        w * (0.3 + 0.4 * rng.uniform()),
+        h * (0.3 + 0.4 * rng.uniform()),
+    ];
     let moved = linear * place;
     let target_from_view = Affine2 {
         linear,
@@ -327,7 +341,12 @@ fn lattice(zoom: f64, number: u64, rng: &mut SplitMix64) -> Option<Scene> {
     let width = 0.2 * spacing;
     let target = frame(|x, y| light([x as f64, y as f64], width), NOISE, rng)?;
     let view = frame(
-        |x, y| light(target_from_view.apply([x as f64, y as f64]), width.max(0.7 * zoom)),
+        |x, y| {
+            light(
+                target_from_view.apply([x as f64, y as f64]),
+                width.max(0.7 * zoom),
+            )
+        },
         NOISE,
         rng,
     )?;
@@ -352,7 +371,13 @@ fn dust(specimens: &[Specimen], number: u64, rng: &mut SplitMix64) -> Option<Sce
         _ => apart(s, 1.0, rng)?,
     };
     let spots: Vec<[f64; 3]> = (0..30)
-        .map(|_| [640.0 * rng.uniform(), 480.0 * rng.uniform(), 4.0 + 12.0 * rng.uniform()])
+        .map(|_| {
+            [
+                640.0 * rng.uniform(),
+                480.0 * rng.uniform(),
+                4.0 + 12.0 * rng.uniform(),
+            ]
+        })
         .collect();
     let shadow = |x: usize, y: usize| {
         let one = |[sx, sy, r]: &[f64; 3]| {
@@ -367,7 +392,11 @@ fn dust(specimens: &[Specimen], number: u64, rng: &mut SplitMix64) -> Option<Sce
         })
     };
     Some(Scene {
-        slide: if number % 3 == 0 { "blank".into() } else { s.name.clone() },
+        slide: if number % 3 == 0 {
+            "blank".into()
+        } else {
+            s.name.clone()
+        },
         view: behind(&view).ok()?,
         target: behind(&target).ok()?,
         zoom: 1.0,
@@ -437,7 +466,11 @@ fn blurred(image: &GrayImage, sigma: f64) -> Option<GrayImage> {
 }
 
 /// What a camera of 8 bits makes of light 0 to 1.
-fn frame(light: impl Fn(usize, usize) -> f64, noise: f64, rng: &mut SplitMix64) -> Option<GrayImage> {
+fn frame(
+    light: impl Fn(usize, usize) -> f64,
+    noise: f64,
+    rng: &mut SplitMix64,
+) -> Option<GrayImage> {
     let [w, h] = SIZE;
     let image = GrayImage::from_fn(w, h, |x, y| {
         let noisy = (light(x, y) + noise * rng.normal()).clamp(0.0, 1.0);
