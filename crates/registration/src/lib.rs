@@ -18,7 +18,9 @@
 
 mod contest;
 mod corners;
+pub mod correlation;
 mod correspondences;
+mod fourier;
 mod grid;
 pub mod likeness;
 mod options;
@@ -31,6 +33,7 @@ mod register;
 mod rival;
 mod search;
 pub mod significance;
+pub mod tracking;
 
 pub use contest::undecided;
 pub use correspondences::Correspondences;

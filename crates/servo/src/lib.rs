@@ -65,7 +65,7 @@ pub use identify::Identify;
 pub use identity::Identity;
 pub use kinematics::{Motion2, PlanarPose, motion_between, pose_after};
 pub use law::{ControlLaw, Direct, Proportional, Velocity, control_law, motion_of};
-pub use localize::{Expected, FeatureLocalizer, Localizer, Measurement};
+pub use localize::{CorrelationLocalizer, Expected, FeatureLocalizer, Localizer, Measurement};
 pub use pixels_seen::PixelsSeen;
 pub use pose::{PoseError, PoseEstimate, pose_error, pose_estimate};
 pub use procedure::{Procedure, Progress, run};

@@ -21,6 +21,8 @@ pub struct VisionOptions {
     pub target_features: usize,
     /// Registration settings.
     pub registration: scopeservo_registration::Options,
+    /// Whether a target that features do not find is looked for by correlation.
+    pub correlation: bool,
 }
 
 impl Default for VisionOptions {
@@ -30,6 +32,7 @@ impl Default for VisionOptions {
             view_features: 3000,
             target_features: 8000,
             registration: scopeservo_registration::Options::default(),
+            correlation: true,
         }
     }
 }

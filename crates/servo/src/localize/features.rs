@@ -99,6 +99,7 @@ impl FeatureLocalizer<'_> {
             registration,
             correspondences,
             features: Some(features),
+            rivals: Vec::new(),
         })
     }
 }

@@ -1,5 +1,6 @@
 //! Where a target lies in a frame. A localizer is one file here, or anything that implements [`Localizer`].
 
+mod correlation;
 mod features;
 
 use crate::{FixedPlaces, ServoError, Target};
@@ -8,6 +9,7 @@ use scopeservo_registration::{Correspondences, Estimate, NotFound, Prior, Regist
 use std::borrow::Cow;
 use std::fmt::Debug;
 
+pub use correlation::CorrelationLocalizer;
 pub use features::FeatureLocalizer;
 
 /// What is known of a frame before looking.
@@ -30,6 +32,8 @@ pub struct Measurement {
     pub correspondences: Correspondences,
     /// All features of the view, where the localizer works with features.
     pub features: Option<Features>,
+    /// Other transforms that the localizer saw on its way to say as much.
+    pub rivals: Vec<Rival>,
 }
 
 /// Finds a target in views.

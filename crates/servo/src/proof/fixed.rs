@@ -168,6 +168,11 @@ impl FixedPlaces {
         self.places.len()
     }
 
+    /// Columns and rows of the camera.
+    pub(crate) fn size(&self) -> [usize; 2] {
+        [self.width, self.height]
+    }
+
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.places.is_empty()

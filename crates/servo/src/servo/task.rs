@@ -5,8 +5,8 @@ use super::hand_over::HandOver;
 use super::watch::Mover;
 use crate::hand_eye::pose_sigma;
 use crate::{
-    Calibration, ControlLaw, Expected, FeatureLocalizer, Law, Localizer, Measurement, PoseEstimate,
-    ServoError, ServoOptions, Target, Velocity, VisionOptions,
+    Calibration, ControlLaw, CorrelationLocalizer, Expected, FeatureLocalizer, Law, Localizer,
+    Measurement, PoseEstimate, ServoError, ServoOptions, Target, Velocity, VisionOptions,
 };
 use scopeservo_features::GrayImage;
 use scopeservo_registration::{NotFound, Rival};
@@ -62,6 +62,9 @@ impl<'a> ServoTask<'a> {
     fn with_localizer<T>(&self, ask: impl FnOnce(&dyn Localizer) -> T) -> T {
         match self.localizer {
             Some(localizer) => ask(localizer),
+            None if self.vision.correlation => ask(&CorrelationLocalizer {
+                vision: self.vision,
+            }),
             None => ask(&FeatureLocalizer {
                 vision: self.vision,
             }),

@@ -1,0 +1,407 @@
+//! Where a target lies in a view, without features: band-passed images of equal local contrast, correlated over all places and over the
+//! angles that are expected, at the scale that is known.
+//!
+//! The correlation proposes and blocks judge. Its highest peaks are looked at block by block: each block of the target
+//! looks for itself around where a peak puts it, and what the blocks agree on is found, uncertain or chance by the same test as matches of features
+//! ([`register_correspondences`]), with the same covariance. Then finer levels, and the finest that says more is the answer. What hides a part of
+//! the view hides blocks, no more.
+//!
+//! [`register_correspondences`]: crate::register_correspondences
+
+mod blocks;
+mod plane;
+mod search;
+
+use crate::correspondences::centre;
+use crate::prior::wrap;
+use crate::{
+    Correspondences, NotFound, Options, Prior, Registration, Rival, RotationPrior, ScalePrior,
+    register_correspondences,
+};
+use plane::Plane;
+use rayon::prelude::*;
+use scopeservo_features::GrayImage;
+use scopeservo_geometry::{Affine2, Vec2};
+use search::Peak;
+use std::sync::OnceLock;
+
+/// Whether a pixel counts: not where something is fixed to the camera.
+pub type Counts<'a> = dyn Fn(Vec2) -> bool + Sync + 'a;
+
+/// An image, and what of it counts.
+#[derive(Clone, Copy)]
+pub struct Picture<'a> {
+    /// The image.
+    pub image: &'a GrayImage,
+    /// Which pixels count; `None` for all.
+    pub counts: Option<&'a Counts<'a>>,
+}
+
+/// The longer side of a target that is searched for, samples at most;
+const TARGET_SAMPLES: f64 = 120.0;
+/// and that of the view.
+const VIEW_SAMPLES: f64 = 400.0;
+/// By half a step of the angle the target's pixels move so far, root mean square, samples.
+const TURN_STEP_PX: f64 = 1.0;
+/// How far around its place each block looks: first, and when the place is known better, samples.
+const REACH: [usize; 2] = [6, 3];
+/// A block agrees when it lands this near, samples.
+const AGREES: f64 = 2.5;
+/// Larger planes than this are not made: the finest level of a large camera.
+const MOST_SAMPLES: usize = 1_600_000;
+/// Expected number of agreements as good between unrelated images, at most, as blocks count it: log10. Blocks of one peak are not
+/// independent, as they are what made it a peak; what unrelated images reach is measured (docs/measured.md).
+const LOG10_CHANCE: f64 = -12.0;
+/// What is looked at more finely, and so many of these at most.
+const LOG10_PROPOSED: f64 = -0.5;
+const PROPOSED: usize = 3;
+/// and what is another place.
+const LOG10_RIVAL: f64 = -6.0;
+/// A peak that is lower than this share of one that is sure is no rival.
+const FAR_LOWER: f32 = 0.6;
+/// Another peak is as high when it is at least this, and this share of the first: ordinary specimens are like themselves elsewhere to 0.44 at most.
+const AS_HIGH: [f32; 2] = [0.45, 0.75];
+/// Another place is as good when its agreement is by this share as improbable.
+const AS_GOOD: f64 = 0.5;
+/// Turned by more than this it is another place, radians; or shifted by so many samples.
+const ELSEWHERE_RAD: f64 = 0.2;
+const ELSEWHERE: f64 = 4.0;
+
+/// What a correlation says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Correlation {
+    /// The transform, or why there is none. Its inliers are blocks.
+    pub registration: Registration,
+    /// The blocks, as places of view and target that look alike.
+    pub correspondences: Correspondences,
+    /// Other places that look like the target, too: with any of them it is ambiguous.
+    pub rivals: Vec<Rival>,
+    /// The highest peak, and the highest of those elsewhere; 1 for what is the same.
+    pub peaks: [f32; 2],
+}
+
+/// View and target at one scale.
+struct Matched<'a> {
+    view: &'a Plane,
+    target: &'a Plane,
+    view_size: [usize; 2],
+    target_size: [usize; 2],
+    /// Target pixels per view pixel.
+    ratio: f64,
+}
+
+impl Matched<'_> {
+    /// Samples of the target for one of the view.
+    fn target_pitch(&self) -> f64 {
+        self.ratio * self.view.every as f64 / self.target.every as f64
+    }
+
+    /// The target's sides in samples of the view.
+    fn target_samples(&self) -> [f64; 2] {
+        let pitch = self.target_pitch();
+        [self.target.width, self.target.height].map(|n| n as f64 / pitch)
+    }
+}
+
+/// Looks for a target in a view at a known scale.
+///
+/// Cost at 640 x 480 pixels, two cores: see docs/measured.md.
+pub fn correlate(
+    view: &Picture<'_>,
+    target: &Picture<'_>,
+    scale: ScalePrior,
+    rotation: Option<RotationPrior>,
+    options: &Options,
+) -> Correlation {
+    let levels = Levels::of(view, target, scale.ratio);
+    let prior = Prior {
+        scale: Some(scale),
+        rotation,
+        ..Prior::default()
+    };
+    let run = Run {
+        view,
+        target,
+        levels: &levels,
+        prior: &prior,
+        options,
+    };
+    run.answer().unwrap_or_else(|reason| Correlation {
+        registration: Registration::not_found(reason, 0),
+        correspondences: nothing(view),
+        rivals: Vec::new(),
+        peaks: [0.0; 2],
+    })
+}
+
+fn nothing(view: &Picture<'_>) -> Correspondences {
+    Correspondences {
+        view_size: size(view),
+        target_area: 0.0,
+        indices: Vec::new(),
+        pairs: Vec::new(),
+        shapes: Vec::new(),
+    }
+}
+
+fn size(picture: &Picture<'_>) -> [usize; 2] {
+    [picture.image.width(), picture.image.height()]
+}
+
+/// The most improbable agreement first; of equals the higher peak stays first.
+fn sort(all: &mut [(Peak, Agreed)]) {
+    all.sort_by(|a, b| a.1.log10_nfa.total_cmp(&b.1.log10_nfa));
+}
+
+/// View and target, made when they are asked for.
+type Planes = OnceLock<Option<(Plane, Plane)>>;
+
+/// View pixels that make a sample, from where the search is to the finest, and the planes there.
+struct Levels {
+    planes: Vec<(usize, Planes)>,
+    search: usize,
+    finest: usize,
+}
+
+impl Levels {
+    fn of(view: &Picture<'_>, target: &Picture<'_>, ratio: f64) -> Self {
+        let [w, h] = size(view);
+        let longer = |s: [usize; 2]| s[0].max(s[1]) as f64;
+        // No finer than the coarser image is.
+        let mut finest = (1.0 / ratio - 1e-6).ceil().max(1.0) as usize;
+        while w * h / (finest * finest) > MOST_SAMPLES {
+            finest += 1;
+        }
+        let fits = |every: usize| {
+            longer(size(target)) / ratio / every as f64 <= TARGET_SAMPLES
+                && w.max(h) as f64 / every as f64 <= VIEW_SAMPLES
+        };
+        let mut levels = vec![finest];
+        while levels.last().is_some_and(|&every| !fits(every)) {
+            levels.extend(levels.last().map(|every| 2 * every));
+        }
+        let search = levels.last().copied().unwrap_or(finest);
+        levels.reverse();
+        let planes = levels.into_iter().map(|every| (every, OnceLock::new()));
+        Self {
+            planes: planes.collect(),
+            search,
+            finest,
+        }
+    }
+}
+
+/// An agreement of blocks.
+struct Agreed {
+    registration: Registration,
+    correspondences: Correspondences,
+    /// How improbable it is, at the level that says most.
+    log10_nfa: f64,
+}
+
+struct Run<'a> {
+    view: &'a Picture<'a>,
+    target: &'a Picture<'a>,
+    levels: &'a Levels,
+    prior: &'a Prior,
+    options: &'a Options,
+}
+
+impl Run<'_> {
+    fn answer(&self) -> Result<Correlation, NotFound> {
+        let blank = NotFound::NoAgreement { matches: 0 };
+        let matched = self.at(0).ok_or_else(|| blank.clone())?;
+        let angles = search::angles(&matched, self.prior.rotation);
+        let peaks = search::peaks(&matched, &angles);
+        let mut proposed = self.proposed(&matched, &peaks);
+        // Of what is sparse the coarse blocks are few.
+        let poor = proposed
+            .first()
+            .is_none_or(|(_, a)| a.log10_nfa > LOG10_CHANCE);
+        if let Some(closer) = self.at(1).filter(|_| poor) {
+            proposed.extend(self.proposed(&closer, &peaks[..peaks.len().min(PROPOSED)]));
+        }
+        sort(&mut proposed);
+        proposed.truncate(PROPOSED);
+        let least = proposed.first().map_or(0.0, |(_, a)| AS_GOOD * a.log10_nfa);
+        proposed.retain(|(_, a)| a.log10_nfa <= least.max(LOG10_RIVAL));
+        let mut refined: Vec<(Peak, Agreed)> = proposed
+            .into_par_iter()
+            .map(|(peak, agreed)| (peak, self.finer(agreed)))
+            .collect();
+        sort(&mut refined);
+        let mut refined = refined.into_iter();
+        let (peak, best) = refined.next().ok_or(blank)?;
+        let mut rivals = self.rivals(&best, refined.as_slice());
+        // What repeats itself has other peaks that are as high, wherever its blocks land.
+        let elsewhere: Vec<(Affine2, f32)> = peaks
+            .iter()
+            .map(|p| (p.target_from_view(&matched), p.height))
+            .filter(|(t, _)| self.elsewhere(&best, t))
+            .collect();
+        let second = elsewhere.iter().map(|p| p.1).fold(0.0, f32::max);
+        if rivals.is_empty() && second >= AS_HIGH[0].max(AS_HIGH[1] * peak.height) {
+            let as_high = elsewhere.iter().filter(|p| p.1 == second);
+            rivals.extend(as_high.filter_map(|(t, _)| self.rival(&best, t, 0)));
+        }
+        Ok(self.told(best, rivals, [peak.height, second]))
+    }
+
+    /// What the blocks around each peak agree on. Where the first ones do, far lower ones are not looked at.
+    fn proposed(&self, matched: &Matched<'_>, peaks: &[Peak]) -> Vec<(Peak, Agreed)> {
+        let look = |peak: &Peak| {
+            let rough = peak.target_from_view(&self.at(0)?);
+            Some((*peak, self.agreed(matched, &rough, REACH[0])?))
+        };
+        let (first, others) = peaks.split_at(peaks.len().min(2));
+        let mut all: Vec<(Peak, Agreed)> = first.par_iter().filter_map(look).collect();
+        let sure = all.iter().filter(|(_, a)| a.log10_nfa <= LOG10_CHANCE);
+        let least = FAR_LOWER * sure.map(|(p, _)| p.height).fold(0.0, f32::max);
+        let others = others.par_iter().filter(|p| p.height >= least);
+        all.par_extend(others.filter_map(look));
+        sort(&mut all);
+        all
+    }
+
+    /// Those that say as much of another place.
+    fn rivals(&self, best: &Agreed, others: &[(Peak, Agreed)]) -> Vec<Rival> {
+        let as_good = (AS_GOOD * best.log10_nfa).min(LOG10_RIVAL);
+        let others = others.iter().map(|(_, other)| other);
+        let others = others.filter(|other| other.log10_nfa <= as_good);
+        let rival = |other: &Agreed| {
+            let t = &other.registration.found()?.target_from_view;
+            let rival = self.rival(best, t, other.registration.inliers)?;
+            self.elsewhere(best, t).then_some(rival)
+        };
+        others.filter_map(rival).collect()
+    }
+
+    /// Whether a transform puts the view at another place, or turns it.
+    fn elsewhere(&self, best: &Agreed, other: &Affine2) -> bool {
+        let sample_px = self.prior.scale.map_or(1.0, |s| s.ratio) * self.levels.search as f64;
+        self.rival(best, other, 0).is_some_and(|rival| {
+            let shift = f64::hypot(rival.shift_px[0], rival.shift_px[1]);
+            shift > ELSEWHERE * sample_px || rival.turn_rad.abs() > ELSEWHERE_RAD
+        })
+    }
+
+    /// View and target at a level, counted from where the search is.
+    fn at(&self, level: usize) -> Option<Matched<'_>> {
+        let ratio = self.prior.scale?.ratio;
+        let (every, planes) = self.levels.planes.get(level)?;
+        let planes = planes.get_or_init(|| {
+            // What the view's sample covers, or a little less.
+            let of_target = ((ratio * *every as f64 + 1e-6) as usize).max(1);
+            Some((
+                Plane::of(self.view, *every)?,
+                Plane::of(self.target, of_target)?,
+            ))
+        });
+        let (view, target) = planes.as_ref()?;
+        Some(Matched {
+            view,
+            target,
+            view_size: size(self.view),
+            target_size: size(self.target),
+            ratio,
+        })
+    }
+
+    /// What the blocks around a transform agree on.
+    fn agreed(&self, matched: &Matched<'_>, rough: &Affine2, reach: usize) -> Option<Agreed> {
+        let correspondences = blocks::correspondences(matched, rough, self.levels.finest, reach)?;
+        let sample_px = matched.ratio * matched.view.every as f64;
+        let options = Options {
+            // In pixels of the coarser image.
+            threshold_px: AGREES * sample_px / matched.ratio.max(1.0),
+            false_alarms: 10.0f64.powf(LOG10_PROPOSED),
+            ..*self.options
+        };
+        // All blocks turn as they were turned to be compared: that they agree in it says nothing.
+        let prior = Prior {
+            rotation: Some(RotationPrior {
+                angle_rad: rough.linear.rotation_angle()?,
+                tolerance_rad: ELSEWHERE_RAD,
+            }),
+            ..*self.prior
+        };
+        let registration = register_correspondences(&correspondences, &prior, &options);
+        Some(Agreed {
+            log10_nfa: registration.log10_nfa.unwrap_or(f64::INFINITY),
+            registration,
+            correspondences,
+        })
+    }
+
+    /// The same at finer levels, as far as they say more.
+    fn finer(&self, mut best: Agreed) -> Agreed {
+        let last = self.levels.planes.len() - 1;
+        for level in last.min(1)..=last {
+            let (Some(matched), Some(found)) = (self.at(level), best.registration.found()) else {
+                return best;
+            };
+            let was = found.sigma_px;
+            let from = found.target_from_view;
+            let mut again = self.agreed(&matched, &from, REACH[1]);
+            if level == last
+                && let Some(found) = again.as_ref().and_then(|a| a.registration.found())
+            {
+                // Blocks that are put where they belong are not drawn to whole samples.
+                let rough = found.target_from_view;
+                again = self.agreed(&matched, &rough, REACH[1]).or(again);
+            }
+            let sigma_px = |a: &Agreed| a.registration.found().map(|e| e.sigma_px);
+            let more = |a: &Agreed| sigma_px(a).is_some_and(|is| last == 0 || is < was);
+            let Some(better) = again.filter(more) else {
+                return best;
+            };
+            best = Agreed {
+                log10_nfa: better.log10_nfa.min(best.log10_nfa),
+                ..better
+            };
+        }
+        best
+    }
+
+    /// As seen from the target's centre: there it is told how far both are apart.
+    fn rival(&self, best: &Agreed, other: &Affine2, places: usize) -> Option<Rival> {
+        let first = &best.registration.found()?.target_from_view;
+        let middle = first.inverse()?.apply(centre(size(self.target)));
+        let (a, b) = (first.apply(middle), other.apply(middle));
+        let angle = |t: &Affine2| t.linear.rotation_angle();
+        Some(Rival {
+            target_from_view: *other,
+            shift_px: [b[0] - a[0], b[1] - a[1]],
+            turn_rad: wrap(angle(other)? - angle(first)?),
+            places,
+            asked: best.registration.inliers,
+            significant: true,
+        })
+    }
+
+    fn told(&self, best: Agreed, rivals: Vec<Rival>, peaks: [f32; 2]) -> Correlation {
+        let mut registration = best.registration;
+        if best.log10_nfa.is_finite() {
+            registration.log10_nfa = Some(best.log10_nfa);
+        }
+        if registration.outcome.is_ok() && best.log10_nfa > LOG10_CHANCE {
+            registration.outcome = Err(NotFound::ByChance {
+                inliers: registration.inliers,
+                matches: registration.matches,
+                log10_nfa: registration.log10_nfa,
+            });
+        }
+        if let Ok(estimate) = &registration.outcome
+            && !self.prior.allows(&estimate.target_from_view)
+        {
+            let matches = registration.matches;
+            registration.outcome = Err(NotFound::NoAgreement { matches });
+        }
+        Correlation {
+            registration,
+            correspondences: best.correspondences,
+            rivals,
+            peaks,
+        }
+    }
+}

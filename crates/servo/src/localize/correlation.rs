@@ -1,0 +1,118 @@
+//! Features first; where they say nothing, correlation.
+//!
+//! What the blocks of a correlation agree on are correspondences as those of features are, at places of the target that are the same from frame to
+//! frame: the proof by motion asks of them what it asks of features. What else looks like the target is told as a rival.
+
+use super::{Expected, FeatureLocalizer, Localizer, Measurement};
+use crate::{FixedPlaces, ServoError, Target, VisionOptions};
+use scopeservo_features::{GrayImage, Mask};
+use scopeservo_geometry::Vec2;
+use scopeservo_registration::correlation::{Picture, correlate};
+use scopeservo_registration::{NotFound, Rival};
+use std::borrow::Cow;
+
+/// Side of the cells in which fixed places are left out, pixels.
+const CELL: usize = 4;
+
+/// Asks features, and correlation where these are too few, do not match or do not agree.
+#[derive(Debug, Clone, Copy)]
+pub struct CorrelationLocalizer<'a> {
+    /// The engine and the settings.
+    pub vision: &'a VisionOptions,
+}
+
+impl CorrelationLocalizer<'_> {
+    fn features(&self) -> FeatureLocalizer<'_> {
+        FeatureLocalizer {
+            vision: self.vision,
+        }
+    }
+
+    /// Looks without features; `None` where nothing is known of the scale, or nothing is found.
+    fn correlated(
+        &self,
+        target: &Target,
+        view: &GrayImage,
+        expected: &Expected<'_>,
+    ) -> Option<Measurement> {
+        let scale = expected.prior.scale?;
+        let image = target.gray().ok()?;
+        let free = free_of(expected.fixed, view);
+        let of_target = free_of(expected.fixed, &image);
+        let moved = target.mask.as_ref();
+        let in_view = |p: Vec2| free.as_ref().is_none_or(|m| m.holds(p));
+        let in_target = |p: Vec2| {
+            of_target.as_ref().is_none_or(|m| m.holds(p)) && moved.is_none_or(|m| m.holds(p))
+        };
+        let seen = correlate(
+            &Picture {
+                image: view,
+                counts: free.is_some().then_some(&in_view),
+            },
+            &Picture {
+                image: &image,
+                counts: (of_target.is_some() || moved.is_some()).then_some(&in_target),
+            },
+            scale,
+            expected.prior.rotation,
+            &self.vision.registration,
+        );
+        Some(Measurement {
+            estimate: seen.registration.found()?.clone(),
+            registration: seen.registration,
+            correspondences: seen.correspondences,
+            features: None,
+            rivals: seen.rivals,
+        })
+    }
+}
+
+/// Where nothing is fixed to the camera; `None` where nothing is known to be, or the image is another camera's.
+fn free_of(fixed: &FixedPlaces, image: &GrayImage) -> Option<Mask> {
+    let size = [image.width(), image.height()];
+    (fixed.size() == size && !fixed.is_empty())
+        .then(|| Mask::of_cells(size[0], size[1], CELL, |p| !fixed.holds(p)))
+}
+
+impl Localizer for CorrelationLocalizer<'_> {
+    fn prepare<'a>(&self, target: &'a Target) -> Result<Cow<'a, Target>, ServoError> {
+        self.features().prepare(target)
+    }
+
+    fn locate(
+        &self,
+        target: &Target,
+        view: &GrayImage,
+        expected: &Expected<'_>,
+    ) -> Result<Result<Measurement, NotFound>, ServoError> {
+        let reason = match self.features().locate(target, view, expected)? {
+            Ok(measured) => return Ok(Ok(measured)),
+            Err(reason) => reason,
+        };
+        let says_nothing = matches!(
+            reason,
+            NotFound::TooFewFeatures { .. }
+                | NotFound::TooFewMatches { .. }
+                | NotFound::NoAgreement { .. }
+                | NotFound::ByChance { .. }
+        );
+        let seen = match says_nothing {
+            true => self.correlated(target, view, expected),
+            false => None,
+        };
+        Ok(seen.ok_or(reason))
+    }
+
+    fn rivals(
+        &self,
+        target: &Target,
+        measured: &Measurement,
+        expected: &Expected<'_>,
+        without_identity: bool,
+    ) -> Vec<Rival> {
+        let mut rivals = measured.rivals.clone();
+        let all = (self.features()).rivals(target, measured, expected, without_identity);
+        rivals.extend(all);
+        rivals
+    }
+}
