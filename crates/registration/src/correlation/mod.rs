@@ -12,7 +12,7 @@ mod blocks;
 mod plane;
 mod search;
 
-use crate::correspondences::centre;
+use crate::corners::centre;
 use crate::prior::wrap;
 use crate::{
     Correspondences, NotFound, Options, Prior, Registration, Rival, RotationPrior, ScalePrior,
