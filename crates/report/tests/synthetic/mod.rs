@@ -340,6 +340,7 @@ impl Teller {
             if passed == 2 {
                 let result = ServoResult {
                     limited_by: None,
+                    angle_is_left: false,
                     iterations: iteration,
                     inliers: 240,
                     error,
@@ -400,6 +401,9 @@ impl Teller {
                 .map(|r| r.error.distance_um().hypot(r.sigma_um)),
             limited_by: None,
             estimated_error_deg: last.as_ref().map(|r| r.error.angle_deg().abs()),
+            angle_left_deg: None,
+            in_view: None,
+            missing: None,
             unique_within_um: None,
             magnifications: self.results.clone(),
         };
