@@ -1,6 +1,7 @@
 //! The keys of the JSON that `--json` prints, where they are many. Keys are stable: they are added to, never renamed.
 
 use scopeservo_geometry::Affine2;
+use scopeservo_scope::Axis;
 use scopeservo_servo::{
     Calibration, Change, Changing, LimitedBy, Missing, Outcome, Reason, TargetQuality, Verdict,
 };
@@ -111,7 +112,7 @@ pub(crate) struct MissingJson {
 /// In um or deg: above the upper end, or below the lower one where it is negative.
 #[derive(Debug, Serialize)]
 pub(crate) struct BeyondJson {
-    pub(crate) axis: String,
+    pub(crate) axis: Axis,
     pub(crate) by: f64,
     pub(crate) unit: &'static str,
     pub(crate) from: f64,
@@ -120,7 +121,7 @@ pub(crate) struct BeyondJson {
 
 pub(crate) fn missing(missing: &Missing) -> MissingJson {
     let axes = missing.beyond.iter().map(|b| BeyondJson {
-        axis: b.axis.to_string(),
+        axis: b.axis,
         by: b.axis.to_display(b.by),
         unit: b.axis.display_unit(),
         from: b.axis.to_display(b.min),

@@ -4,9 +4,10 @@ use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// A target whose chance is less than this is told off, and one below the second is not saved.
+/// A target whose chance is less than this is told off.
 pub(super) const LIKELY: f64 = 0.9;
-const HOPELESS: f64 = 0.3;
+/// One that its own objective hardly finds again is not saved: no run could tell that it is back.
+const OWN: f64 = 0.5;
 
 /// Views of one objective that were made of a target.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -56,15 +57,22 @@ pub struct TargetQuality {
     pub weakness: Option<Weakness>,
 }
 
+impl Tried {
+    /// Share of the views in which the target was found.
+    pub(super) fn share(&self) -> f64 {
+        self.found as f64 / self.views.max(1) as f64
+    }
+}
+
 impl TargetQuality {
     /// Whether it can be told from its surroundings.
     pub fn can_be_told(&self) -> bool {
         self.chance >= LIKELY
     }
 
-    /// Whether nobody should rely on it.
+    /// Whether no run could tell that it is back.
     pub fn is_hopeless(&self) -> bool {
-        self.chance < HOPELESS
+        self.tried.last().is_none_or(|own| own.share() < OWN)
     }
 }
 
@@ -89,13 +97,13 @@ fn in_words(quality: &TargetQuality) -> String {
     let because = match quality.weakness {
         None => return format!("can be told from its surroundings: {found}"),
         Some(Weakness::FewFeatures) => format!(
-            "it has only {} features. Save one with more tissue, or with a lower magnification",
-            quality.features
+            "it has only {} features, on {:.0} % of its area. Save one with more tissue, or with a lower magnification",
+            quality.features,
+            100.0 * quality.textured
         ),
-        Some(Weakness::OneCorner) => format!(
-            "all there is lies in {:.0} % of it. Bring that into the middle with more around it, or take a lower magnification",
-            (100.0 * quality.textured).max(1.0)
-        ),
+        Some(Weakness::OneCorner) => {
+            "all there is lies in one part of it. Bring that into the middle with more around it, or take a lower magnification".into()
+        }
         Some(Weakness::OneLine) => {
             "all there is lies along a line. Save one with something beside it".into()
         }

@@ -4,7 +4,7 @@
 use super::Target;
 use super::quality::{LIKELY, TargetQuality, Tried, Weakness};
 use crate::{ServoError, VisionOptions};
-use scopeservo_features::{FeatureError, Features, GrayImage};
+use scopeservo_features::{FeatureError, Features, GrayImage, Keypoint};
 use scopeservo_geometry::{Affine2, Mat2, SplitMix64, Vec2};
 use scopeservo_registration::likeness::Plane;
 use scopeservo_registration::{Prior, RotationPrior, ScalePrior};
@@ -26,8 +26,11 @@ const TURNED_RAD: f64 = 0.03;
 const RIGHT_PX: f64 = 12.0;
 /// Features are counted in so many squares along the shorter side.
 const SQUARES: usize = 8;
-/// Less of the image than this with anything in it is a corner.
-const CORNER: f64 = 0.2;
+/// What lies within less of the image than this lies in a corner; features on less of it are few.
+const CORNER: f64 = 0.25;
+const SPARSE: f64 = 0.2;
+/// More than this is said of no target: what lies around it is not known.
+const MOST: f64 = 0.98;
 /// What lies along a line has a spread across it of at most this share of that along it.
 const LINE: f64 = 0.12;
 /// Fewer features are few.
@@ -98,25 +101,32 @@ fn ladder<'a>(target: &Target, objectives: &'a [Objective]) -> Vec<&'a Objective
 /// A run comes back when the lowest objective sees the target, and its own tells it: by how many of the harder views did.
 fn chance(tried: &[Tried]) -> f64 {
     let ends = [tried.first(), tried.last()].into_iter().flatten();
-    let shares = ends.map(|t| t.found as f64 / t.views.max(1) as f64);
-    shares.fold(1.0, f64::min)
+    ends.map(Tried::share).fold(MOST, f64::min)
 }
 
 fn weakness(target: &Target, textured: f64, tried: &[Tried], chance: f64) -> Option<Weakness> {
-    if !target.periods_px.is_empty() {
-        return Some(Weakness::Repeats);
-    }
     if chance >= LIKELY {
-        return None;
+        return (!target.periods_px.is_empty()).then_some(Weakness::Repeats);
     }
-    let share = |t: &Tried| t.found as f64 / t.views.max(1) as f64;
-    let own = tried.last().map_or(0.0, share);
+    let own = tried.last().map_or(0.0, Tried::share);
     Some(match target.features.len() {
         _ if across(&target.features) < LINE => Weakness::OneLine,
-        _ if textured < CORNER => Weakness::OneCorner,
-        n if n >= FEW && own >= LIKELY => Weakness::TooFine,
+        _ if extent(&target.features) < CORNER => Weakness::OneCorner,
+        n if n >= FEW && textured >= SPARSE && own >= LIKELY => Weakness::TooFine,
         _ => Weakness::FewFeatures,
     })
+}
+
+/// Share of the image's area between the places that leave out a twentieth of the features at each side.
+fn extent(features: &Features) -> f64 {
+    let side = |of: fn(&Keypoint) -> f32, size: usize| {
+        let mut all: Vec<f32> = features.keypoints.iter().map(of).collect();
+        all.sort_by(f32::total_cmp);
+        let out = all.len() / 20;
+        let ends = all.get(out).zip(all.get(all.len().saturating_sub(1 + out)));
+        ends.map_or(0.0, |(a, b)| f64::from(b - a) / size as f64)
+    };
+    side(|k| k.x, features.width) * side(|k| k.y, features.height)
 }
 
 /// Share of the image's area with features in it.

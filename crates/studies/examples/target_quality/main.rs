@@ -163,7 +163,7 @@ fn row(name: &str, of: &[&Record]) {
     let run: Vec<_> = of.iter().filter(|r| !r.verdict.is_empty()).collect();
     let arrived = run.iter().filter(|r| r.arrived()).count();
     let chances = run.iter().filter_map(|r| Some(r.quality.as_ref()?.chance));
-    let mean = chances.sum::<f64>() / run.len().max(1) as f64;
+    let mean = chances.fold(0.0, |sum, chance| sum + chance) / run.len().max(1) as f64;
     println!(
         "| {name} | {n} | {} | {:.0} % | {arrived} of {} | {:.0} % | {} |",
         of.iter().filter(|r| r.refused).count(),
