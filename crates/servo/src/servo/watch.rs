@@ -223,9 +223,12 @@ impl Promise {
         let shares = (1..=60).map(|k| 0.05 * f64::from(k));
         causes.extend(shares.map(|s| (Contradiction::Share(s), left([s * x, s * y], s * turn))));
         let best = causes.iter().map(|c| c.1).fold(f64::INFINITY, f64::min);
+        // What explains no more than that all went as it was told is no cause: a rotation that stands where none was asked for.
+        let (off_m, off_rad) = apart(&goal, seen);
+        let most_m = (best + 0.5 * leaves_m).min(0.5 * off_m.max(size_m * off_rad));
         let simplest = causes
             .into_iter()
-            .find(|(_, left_m)| *left_m <= leaves_m && *left_m <= best + 0.5 * leaves_m);
+            .find(|(_, left_m)| *left_m <= leaves_m && *left_m <= most_m);
         simplest.map_or(Contradiction::Elsewhere, |(cause, _)| cause)
     }
 }
@@ -254,6 +257,15 @@ enum Trust {
     Turn,
     /// That is known as well.
     Regained,
+}
+
+impl Trust {
+    fn after_a_change(self) -> Self {
+        match self {
+            Self::Shift | Self::Turn => self,
+            Self::Whole | Self::Regained => Self::Whole,
+        }
+    }
 }
 
 /// The last promise, and how those before it were kept.
@@ -296,7 +308,9 @@ impl Watch {
             promise: self.promise,
             broken: self.broken,
             handed: self.promise.is_some(),
-            stays: first,
+            stays: first && self.promise.is_some(),
+            // Where it went back before, it goes on in small steps.
+            trust: self.trust.after_a_change(),
             ..Self::default()
         }
     }
@@ -308,6 +322,7 @@ impl Watch {
         mover: &Mover<'_>,
         view_m: f64,
     ) -> Option<Kept> {
+        self.stays = false;
         let promise = self.promise.take()?;
         let kept = promise.kept(seen, mover, view_m);
         let looks = std::mem::take(&mut self.looks);
@@ -399,6 +414,12 @@ impl Watch {
         Some((promise.before, promise.from))
     }
 
+    /// Where to go back to, after a move by which all was lost: nothing is in focus there.
+    pub(crate) fn led_astray(&mut self) -> Option<PlanarPose> {
+        self.stays = false;
+        self.turns_back().map(|(before, _)| before)
+    }
+
     /// The stage went back, and the target is not seen any more, there or after a small step: what contradicts the moves.
     pub(crate) fn not_there_any_more(&self) -> Option<Contradiction> {
         self.is_wary().then(|| self.why())
@@ -428,10 +449,15 @@ impl Watch {
                     theta_rad: 0.0,
                 }
             }
-            Trust::Turn => Velocity {
-                theta_rad: theta_rad.signum() * theta_rad.abs().min(reach_m / DRIFTED_CENTRE_M),
-                ..velocity
-            },
+            Trust::Turn => {
+                // The view stays there whether the rotation stands, or x and y that go with it, or the centre is elsewhere.
+                let centre_m = view.rotation_centre_m.unwrap_or_default();
+                let lever_m = f64::hypot(centre_m[0], centre_m[1]).max(DRIFTED_CENTRE_M);
+                Velocity {
+                    theta_rad: theta_rad.signum() * theta_rad.abs().min(reach_m / lever_m),
+                    ..velocity
+                }
+            }
         }
     }
 
