@@ -11,6 +11,7 @@ mod expected;
 mod frames;
 pub(crate) mod hand_over;
 pub(crate) mod options;
+pub(crate) mod promise;
 pub(crate) mod refit;
 pub(crate) mod run;
 mod sight;

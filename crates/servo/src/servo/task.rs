@@ -2,7 +2,7 @@
 
 use super::convergence::Criteria;
 use super::hand_over::HandOver;
-use super::watch::Mover;
+use super::promise::Mover;
 use crate::hand_eye::pose_sigma;
 use crate::{
     Calibration, ControlLaw, Expected, FeatureLocalizer, Law, Localizer, Measurement, PoseEstimate,
