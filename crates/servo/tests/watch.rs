@@ -252,9 +252,8 @@ fn a_frozen_a_late_and_a_binned_camera_and_another_objective_are_told_apart() {
         panic!("{}", outcome.message);
     };
     assert!((factor - 0.5).abs() < 0.02, "{factor}");
-    let (outcome, _, _) = come_back(&good, |twin| {
-        twin.fault(StageFault::CameraTurned(25.0));
-    });
+    let elsewhere = changed(&good, |m| Mat2::rotation(f64::to_radians(25.0)) * m);
+    let (outcome, _, _) = come_back(&elsewhere, |_| {});
     let turned = match why(&outcome) {
         Some(Contradiction::Turned(rad)) => rad.to_degrees().abs(),
         _ => panic!("{}", outcome.message),

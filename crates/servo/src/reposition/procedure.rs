@@ -408,6 +408,7 @@ impl Procedure for Reposition {
     ) -> Result<Progress<Outcome>, ServoError> {
         let ended = match self.advance(scope, sink) {
             Ok(ended) => ended,
+            Err(error) if self.went_astray(scope, &error)? => None,
             Err(error) => {
                 self.withdraw(scope, &error)?;
                 Some(self.answer(error)?)

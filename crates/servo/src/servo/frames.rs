@@ -1,9 +1,10 @@
 //! What the loop's state takes from a frame: found and moved away from, lost, or to be looked at again.
 
 use super::criteria::Criteria;
+use super::promise::{Kept, Promise};
 use super::sight::{Located, Sight};
 use super::state::Servo;
-use super::watch::{Kept, Promise, Watch};
+use super::watch::Watch;
 use crate::event::tell;
 use crate::one_side::move_from_one_side;
 use crate::pose::image_angle;

@@ -14,6 +14,7 @@ pub(crate) mod hand_over;
 pub(crate) mod missing;
 pub(crate) mod options;
 mod pixels;
+pub(crate) mod promise;
 mod reach;
 pub(crate) mod refit;
 pub(crate) mod run;

@@ -2,7 +2,7 @@
 
 use super::criteria::Criteria;
 use super::hand_over::HandOver;
-use super::watch::Mover;
+use super::promise::Mover;
 use crate::hand_eye::pose_sigma;
 use crate::{
     Calibration, ControlLaw, CorrelationLocalizer, Expected, FeatureLocalizer, Law, Localizer,

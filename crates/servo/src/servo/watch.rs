@@ -1,245 +1,11 @@
-//! The camera as an encoder: what a move was to do, against what the next frame shows of it.
+//! The camera as an encoder: how the promises of moves were kept, and what follows of it.
 
+use super::promise::{DRIFTED_CENTRE_M, Kept, Mover, Promise, apart};
 use super::refit::{Refit, Remark};
-use crate::law::error_after;
-use crate::{
-    Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity, motion_between,
-};
-use scopeservo_geometry::{Mat2, Vec2};
-use scopeservo_scope::{Axis, Kinematics, ObjectiveId};
+use crate::{Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity};
+use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
-
-/// What lies within so many standard deviations and a pixel of the view is what was promised; angles within so much, rad.
-const SIGMAS: f64 = 4.0;
-const SLACK_RAD: f64 = 3e-3;
-/// A stage whose play the calibration does not know may have as much, standard deviation, m.
-const UNKNOWN_PLAY_M: f64 = 8e-6;
-/// The errors of a calibration that a servo survives (the paper, Table II, at 100x): a share of each move for scale and camera angle, and the
-/// rotation centre, m.
-const DRIFTED_SHARE: f64 = 0.17;
-const DRIFTED_CENTRE_M: f64 = 9.1e-3;
-/// A cause explains what was seen when it leaves this share of the move, besides what is uncertain.
-const LEAVES: f64 = 0.08;
-
-/// What is known of an instrument's moves.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Mover<'a> {
-    pub(crate) kinematics: Kinematics,
-    pub(crate) view: &'a Calibration,
-    /// How arrivals scatter: m, m, rad.
-    pub(crate) scatter: [f64; 3],
-}
-
-/// What a move was to do.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Promise {
-    /// Where the stage stood, and where it was sent.
-    before: PlanarPose,
-    goal: PlanarPose,
-    /// The error before, and after it.
-    from: PoseError,
-    to: PoseError,
-    /// Standard deviations of the error after it, m for each coordinate, and rad.
-    sigma_m: f64,
-    sigma_rad: f64,
-}
-
-/// How a promise was kept.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Kept {
-    /// As well as it was known.
-    Yes,
-    /// As a calibration would that has drifted, and which a servo survives.
-    Drifted,
-    /// Not at all.
-    No(Contradiction),
-    /// Nothing has moved so far: images may come late.
-    NotYet,
-}
-
-impl Promise {
-    /// Of a move from a frame that was understood.
-    pub(crate) fn of(
-        seen: &PoseEstimate,
-        (before, goal): (PlanarPose, PlanarPose),
-        mover: &Mover<'_>,
-        change_m: f64,
-    ) -> Self {
-        let from = seen.error;
-        let turned_rad = goal.theta_rad - before.theta_rad;
-        let way_m = f64::hypot(from.t_m[0], from.t_m[1]);
-        let [x, y, turn] = mover.scatter;
-        let eta = mover.view.rotation_centre_m.unwrap_or_default();
-        let lever_m = f64::hypot(eta[0], eta[1]);
-        let play_m = mover.view.backlash.map_or(UNKNOWN_PLAY_M, |_| 0.0);
-        let arrival_sq = x * x + y * y + (lever_m * turn).powi(2) + play_m * play_m;
-        let known_m = mover.view.move_sigma_m(way_m, turned_rad).unwrap_or(0.0);
-        let [a, b, angle] = seen.sigma();
-        let motion = motion_between(mover.kinematics, &before, &goal);
-        Self {
-            before,
-            goal,
-            from,
-            to: error_after(&from, &motion, mover.view),
-            sigma_m: (arrival_sq + known_m * known_m + a * a + b * b + change_m * change_m).sqrt(),
-            sigma_rad: f64::hypot(std::f64::consts::SQRT_2 * turn, angle),
-        }
-    }
-
-    /// The error if the stage had come to stand somewhere.
-    fn error_at(&self, pose: &PlanarPose, mover: &Mover<'_>) -> PoseError {
-        let motion = motion_between(mover.kinematics, &self.before, pose);
-        error_after(&self.from, &motion, mover.view)
-    }
-
-    /// What the next frame says of it. `view_m`: size of its pixels.
-    pub(crate) fn kept(&self, seen: &PoseEstimate, mover: &Mover<'_>, view_m: f64) -> Kept {
-        let promised = self.to;
-        let [a, b, angle] = seen.sigma();
-        let unsure_m = SIGMAS * (self.sigma_m.powi(2) + a * a + b * b).sqrt() + view_m;
-        let unsure_rad = SIGMAS * f64::hypot(self.sigma_rad, angle) + SLACK_RAD;
-        let (off_m, off_rad) = apart(&promised, &seen.error);
-        if off_m <= unsure_m && off_rad <= unsure_rad {
-            return Kept::Yes;
-        }
-        let way_m = apart(&self.from, &promised).0;
-        let turned_rad = (self.goal.theta_rad - self.before.theta_rad).abs();
-        let sweep_m = 2.0 * DRIFTED_CENTRE_M * (0.5 * turned_rad).sin().abs();
-        // What stands or goes the other way explains all of it; a share of the way is what a drifted calibration makes of it, too.
-        let cause = self.cause(&seen.error, mover, unsure_m + LEAVES * way_m);
-        let sure = !matches!(
-            cause,
-            Contradiction::Share(_) | Contradiction::Turned(_) | Contradiction::Elsewhere
-        );
-        if sure && DRIFTED_SHARE * way_m > unsure_m {
-            return Kept::No(cause);
-        }
-        if off_m <= unsure_m + DRIFTED_SHARE * way_m + sweep_m
-            && off_rad <= unsure_rad + DRIFTED_SHARE * turned_rad
-        {
-            return Kept::Drifted;
-        }
-        Kept::No(cause)
-    }
-
-    /// What the move was to change, how far beside that it ended, and by how much the view goes with a rotation centre that lies elsewhere.
-    fn tells(&self, seen: &PoseError, mover: &Mover<'_>) -> (Vec2, Vec2, Mat2) {
-        let promised = self.error_at(&self.goal, mover);
-        let less = |a: Vec2, b: Vec2| [a[0] - b[0], a[1] - b[1]];
-        let centre = mover.view.rotation_centre_m.unwrap_or_default();
-        // The view's place is a linear function of it.
-        let lever = [0, 1].map(|k| {
-            let mut centre = centre;
-            centre[k] += 1.0;
-            let view = Calibration {
-                rotation_centre_m: Some(centre),
-                ..mover.view.clone()
-            };
-            let elsewhere = self.error_at(
-                &self.goal,
-                &Mover {
-                    view: &view,
-                    ..*mover
-                },
-            );
-            less(elsewhere.t_m, promised.t_m)
-        });
-        (
-            less(promised.t_m, self.from.t_m),
-            less(seen.t_m, promised.t_m),
-            Mat2([[lever[0][0], lever[1][0]], [lever[0][1], lever[1][1]]]),
-        )
-    }
-
-    /// The simplest of what explains an error to within `leaves_m` of the view.
-    fn cause(&self, seen: &PoseError, mover: &Mover<'_>, leaves_m: f64) -> Contradiction {
-        let (before, goal) = (&self.before, &self.goal);
-        let by = [0, 1].map(|k| goal.x_m[k] - before.x_m[k]);
-        let turn = goal.theta_rad - before.theta_rad;
-        let size_m = 0.5 * mover.view.um_per_px() * 1e-6 * mover.view.image_size_px[0] as f64;
-        // How far from what is seen the view would be, had the stage gone by so much.
-        let left = |x: Vec2, theta: f64| {
-            let pose = PlanarPose {
-                x_m: [0, 1].map(|k| before.x_m[k] + x[k]),
-                theta_rad: before.theta_rad + theta,
-            };
-            let (off_m, off_rad) = apart(&self.error_at(&pose, mover), seen);
-            off_m.max(size_m * off_rad)
-        };
-        let goal = self.error_at(goal, mover);
-        // From the target's camera axes to those of the stage, as the optics stood before.
-        let camera = mover.view.stage_from_camera() * Mat2::rotation(-self.from.theta_rad);
-        let way_m = [0, 1].map(|k| goal.t_m[k] - self.from.t_m[k]);
-        // The same, had it gone as it was told, and the calibration were of another map: the view goes another way.
-        let mapped = |map: Mat2| {
-            let way_m = camera.transpose() * (map * (camera * way_m));
-            let error = PoseError {
-                t_m: [0, 1].map(|k| self.from.t_m[k] + way_m[k]),
-                theta_rad: self.from.theta_rad
-                    + map.det().signum() * (goal.theta_rad - self.from.theta_rad),
-            };
-            let (off_m, off_rad) = apart(&error, seen);
-            off_m.max(size_m * off_rad)
-        };
-        let swapped = Mat2([[0.0, 1.0], [1.0, 0.0]]);
-        let gone_m = [0, 1].map(|k| seen.t_m[k] - self.from.t_m[k]);
-        let turned = direction(gone_m) - direction(way_m);
-        let beside = PoseError {
-            t_m: {
-                let way_m = Mat2::rotation(turned) * way_m;
-                [0, 1].map(|k| self.from.t_m[k] + way_m[k])
-            },
-            ..goal
-        };
-        let (off_m, off_rad) = apart(&beside, seen);
-        let [x, y] = by;
-        let mut causes = vec![
-            (Contradiction::NothingMoved, left([0.0; 2], 0.0)),
-            (Contradiction::Reversed, mapped(Mat2::diagonal(-1.0, -1.0))),
-            (
-                Contradiction::AxisReversed(Axis::X),
-                mapped(Mat2::diagonal(-1.0, 1.0)),
-            ),
-            (
-                Contradiction::AxisReversed(Axis::Y),
-                mapped(Mat2::diagonal(1.0, -1.0)),
-            ),
-            (Contradiction::Swapped, mapped(swapped)),
-            (Contradiction::AxisStands(Axis::X), left([0.0, y], turn)),
-            (Contradiction::AxisStands(Axis::Y), left([x, 0.0], turn)),
-            (Contradiction::AxisStands(Axis::Rz), left(by, 0.0)),
-            (Contradiction::Reversed, left([-x, -y], turn)),
-            (Contradiction::AxisReversed(Axis::X), left([-x, y], turn)),
-            (Contradiction::AxisReversed(Axis::Y), left([x, -y], turn)),
-            (Contradiction::AxisReversed(Axis::Rz), left(by, -turn)),
-            (Contradiction::Swapped, left([y, x], turn)),
-        ];
-        if turned.sin().abs() > DRIFTED_SHARE {
-            let turned = turned.sin().atan2(turned.cos());
-            let left_m = off_m.max(size_m * off_rad);
-            causes.push((Contradiction::Turned(turned), left_m));
-        }
-        let shares = (1..=60).map(|k| 0.05 * f64::from(k));
-        causes.extend(shares.map(|s| (Contradiction::Share(s), left([s * x, s * y], s * turn))));
-        let best = causes.iter().map(|c| c.1).fold(f64::INFINITY, f64::min);
-        let simplest = causes
-            .into_iter()
-            .find(|(_, left_m)| *left_m <= leaves_m && *left_m <= best + 0.5 * leaves_m);
-        simplest.map_or(Contradiction::Elsewhere, |(cause, _)| cause)
-    }
-}
-
-/// How far two errors are apart, m and rad.
-fn apart(a: &PoseError, b: &PoseError) -> (f64, f64) {
-    let turn = a.theta_rad - b.theta_rad;
-    let distance = f64::hypot(a.t_m[0] - b.t_m[0], a.t_m[1] - b.t_m[1]);
-    (distance, turn.sin().atan2(turn.cos()).abs())
-}
-
-fn direction([x, y]: Vec2) -> f64 {
-    y.atan2(x)
-}
 
 /// How far moves are trusted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -254,6 +20,15 @@ enum Trust {
     Turn,
     /// That is known as well.
     Regained,
+}
+
+impl Trust {
+    fn after_a_change(self) -> Self {
+        match self {
+            Self::Shift | Self::Turn => self,
+            Self::Whole | Self::Regained => Self::Whole,
+        }
+    }
 }
 
 /// The last promise, and how those before it were kept.
@@ -296,7 +71,9 @@ impl Watch {
             promise: self.promise,
             broken: self.broken,
             handed: self.promise.is_some(),
-            stays: first,
+            stays: first && self.promise.is_some(),
+            // Where it went back before, it goes on in small steps.
+            trust: self.trust.after_a_change(),
             ..Self::default()
         }
     }
@@ -308,6 +85,7 @@ impl Watch {
         mover: &Mover<'_>,
         view_m: f64,
     ) -> Option<Kept> {
+        self.stays = false;
         let promise = self.promise.take()?;
         let kept = promise.kept(seen, mover, view_m);
         let looks = std::mem::take(&mut self.looks);
@@ -349,11 +127,15 @@ impl Watch {
     }
 
     fn mends(&mut self, objective: &ObjectiveId) {
-        self.trust = match self.trust {
-            Trust::Shift => Trust::Turn,
-            Trust::Turn => Trust::Regained,
-            trust => trust,
-        };
+        match self.trust {
+            // Of what lost the target x and y are cleared, and no more.
+            Trust::Shift => {
+                self.trust = Trust::Turn;
+                return;
+            }
+            Trust::Turn => self.trust = Trust::Regained,
+            Trust::Whole | Trust::Regained => {}
+        }
         if let Some((_, why)) = self.broken.take() {
             self.remarks.push(Remark::Contradicted {
                 objective: objective.clone(),
@@ -399,6 +181,12 @@ impl Watch {
         Some((promise.before, promise.from))
     }
 
+    /// Where to go back to, after a move by which all was lost: nothing is in focus there.
+    pub(crate) fn led_astray(&mut self) -> Option<PlanarPose> {
+        self.stays = false;
+        self.turns_back().map(|(before, _)| before)
+    }
+
     /// The stage went back, and the target is not seen any more, there or after a small step: what contradicts the moves.
     pub(crate) fn not_there_any_more(&self) -> Option<Contradiction> {
         self.is_wary().then(|| self.why())
@@ -428,10 +216,15 @@ impl Watch {
                     theta_rad: 0.0,
                 }
             }
-            Trust::Turn => Velocity {
-                theta_rad: theta_rad.signum() * theta_rad.abs().min(reach_m / DRIFTED_CENTRE_M),
-                ..velocity
-            },
+            Trust::Turn => {
+                // The view stays there whether the rotation stands, or x and y that go with it, or the centre is elsewhere.
+                let centre_m = view.rotation_centre_m.unwrap_or_default();
+                let lever_m = f64::hypot(centre_m[0], centre_m[1]).max(DRIFTED_CENTRE_M);
+                Velocity {
+                    theta_rad: theta_rad.signum() * theta_rad.abs().min(reach_m / lever_m),
+                    ..velocity
+                }
+            }
         }
     }
 

@@ -2,7 +2,9 @@
 
 use super::super::{Left, Leg, MagnificationResult, Outcome, Reason, Verdict, words};
 use super::{Reposition, State, Work};
-use crate::{ErrorKind, Identify, Identity, Progress, ServoEnd, ServoError, Target};
+use crate::target::MIN_TARGET_FEATURES;
+use crate::{ErrorCode, ErrorKind, Identify, Identity, Progress, ServoEnd, ServoError, Target};
+use scopeservo_registration::NotFound;
 use scopeservo_scope::{Instrument, ObjectiveId, ScopeError};
 
 impl Reposition {
@@ -84,6 +86,51 @@ impl Reposition {
             ServoError::Scope(ScopeError::Frozen { .. }) => self.to_the_start(scope),
             _ => Ok(()),
         }
+    }
+
+    /// Nothing is in focus where one move led to another objective's view: it led elsewhere than it was to, off the slide for instance. The stage
+    /// goes back, once, and the lowest objective sees what moves do.
+    pub(super) fn went_astray(
+        &mut self,
+        scope: &Instrument,
+        error: &ServoError,
+    ) -> Result<bool, ServoError> {
+        let unfocused = matches!(error.code(), ErrorCode::NoFocus | ErrorCode::AtLimit);
+        let (
+            State::Under {
+                leg,
+                work: Work::Bring(_),
+            },
+            true,
+        ) = (&self.state, unfocused)
+        else {
+            return Ok(false);
+        };
+        let (leg, target) = (leg.clone(), self.target()?);
+        let Some(ServoEnd::HandedOver { .. }) = self.done.last().map(|d| &d.end) else {
+            return Ok(false);
+        };
+        let calibration = self.calibrations.get(leg.objective()).cloned();
+        let lowest = self.policy().outlook(&self.so_far(scope, &target));
+        let (Some(calibration), Some(lowest), Some(before)) =
+            (calibration, lowest.first(), self.watch.led_astray())
+        else {
+            return Ok(false);
+        };
+        let present = scope.gate().position()?;
+        scope.move_to(&before.request(&present))?;
+        self.done.push(MagnificationResult {
+            magnification: scope.objective(leg.objective())?.magnification,
+            objective: leg.objective().clone(),
+            end: ServoEnd::Lost(NotFound::TooFewFeatures {
+                view: 0,
+                target: target.features.len(),
+                needed: MIN_TARGET_FEATURES,
+            }),
+            calibration,
+        });
+        self.bring(Leg::Servo(lowest.clone()));
+        Ok(true)
     }
 
     fn to_the_start(&self, scope: &Instrument) -> Result<(), ServoError> {
