@@ -15,6 +15,7 @@
     )
 )]
 
+mod blocks;
 mod calibration;
 mod chain;
 mod changes;

@@ -1,5 +1,6 @@
 //! The places that view and target share, drawn: why the program believes what it sees.
 
+use crate::blocks::figure;
 use crate::model::{Report, view_name};
 use crate::picture::Gallery;
 use crate::svg::Attr;
@@ -42,6 +43,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
             count(first.inliers, "agreeing place"),
             count(first.matches, "match").replace("matchs", "matches"),
         );
+        out.push_str(&figure(r, m));
     }
     if out.is_empty() {
         return "<p class=\"none\">No view was recognised, so there are no matching places to show.</p>\n".into();

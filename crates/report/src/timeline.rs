@@ -3,8 +3,8 @@
 use scopeservo_geometry::{Affine2, Vec2};
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{
-    Calibration, ChainPlace, ChainView, Event, FocusResult, FrameRole, Outcome, Phase, PoseError,
-    Stamped, Velocity,
+    Calibration, ChainPlace, ChainView, Event, FocusResult, FrameRole, Outcome, Phase, PixelsSeen,
+    PoseError, Stamped, Velocity,
 };
 
 /// One frame of the servo in which the target was seen.
@@ -19,6 +19,7 @@ pub(crate) struct Iteration<'a> {
     pub(crate) sigma_px: f64,
     pub(crate) pairs: &'a [[f32; 4]],
     pub(crate) converged: bool,
+    pub(crate) pixels: Option<&'a PixelsSeen>,
 }
 
 /// One frame in which it was not.
@@ -182,6 +183,7 @@ impl<'a> Timeline<'a> {
                 sigma_px,
                 pairs,
                 converged,
+                pixels,
                 ..
             } => self.magnification(objective).iterations.push(Iteration {
                 iteration: *iteration,
@@ -194,6 +196,7 @@ impl<'a> Timeline<'a> {
                 sigma_px: *sigma_px,
                 pairs,
                 converged: *converged,
+                pixels: pixels.as_ref(),
             }),
             Event::Lost {
                 objective,

@@ -241,3 +241,32 @@ fn values_that_are_no_numbers_do_not_reach_the_page() {
     };
     check(&html(&recorder, Some(&truth), &synthetic::context()));
 }
+
+#[test]
+fn blocks_of_pixels_are_drawn_on_the_view_that_they_testify_of() {
+    use scopeservo_servo::{Event, Sink as _};
+    let block = |x: f64, agrees: bool| serde_json::json!({"in_view": [x, 100.0], "agrees": agrees, "correlation": 0.9});
+    let seen = serde_json::json!({"evidence": {
+        "judgement": "agrees", "asked": 2, "agree": 1, "held_out": true, "log10_chance": -8.0, "share": 0.75, "side_px": 24.0,
+        "blocks": [block(100.0, true), block(200.0, false)],
+    }});
+    let mut recorder = arrived().recorder.clone();
+    let mut events: Vec<_> = recorder.events().to_vec();
+    let last = events
+        .iter()
+        .rposition(|e| matches!(e.event, Event::Iteration { .. }));
+    let mut last = events.swap_remove(last.unwrap());
+    if let Event::Iteration { pixels, .. } = &mut last.event {
+        *pixels = Some(serde_json::from_value(seen).unwrap());
+    }
+    recorder.event(last);
+    let page = html(&recorder, None, &synthetic::context());
+    check(&page);
+    assert_eq!(page.matches("class=\"block yes\"").count(), 1);
+    assert_eq!(
+        page.matches("class=\"block no\" x=\"188\" y=\"88\" width=\"24\"")
+            .count(),
+        1
+    );
+    assert!(page.contains("1 of 2 blocks of pixels lie where they should"));
+}
