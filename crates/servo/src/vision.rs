@@ -32,7 +32,7 @@ impl Default for VisionOptions {
             view_features: 3000,
             target_features: 8000,
             registration: scopeservo_registration::Options::default(),
-            correlation: true,
+            correlation: false,
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Block by block: how far the view lies from where a transform puts it. Each block is a correspondence, so that what follows the
 //! matching of features judges blocks, too.
 
-use super::Matched;
+use super::matched::Matched;
 use crate::{Correspondences, Shapes};
 use scopeservo_geometry::{Affine2, Correspondence, Vec2};
 

@@ -9,6 +9,7 @@
 //! [`register_correspondences`]: crate::register_correspondences
 
 mod blocks;
+mod matched;
 mod plane;
 mod search;
 
@@ -18,31 +19,19 @@ use crate::{
     Correspondences, NotFound, Options, Prior, Registration, Rival, RotationPrior, ScalePrior,
     register_correspondences,
 };
+use matched::Matched;
 use plane::Plane;
 use rayon::prelude::*;
-use scopeservo_features::GrayImage;
-use scopeservo_geometry::{Affine2, Vec2};
+use scopeservo_geometry::Affine2;
 use search::Peak;
 use std::sync::OnceLock;
 
-/// Whether a pixel counts: not where something is fixed to the camera.
-pub type Counts<'a> = dyn Fn(Vec2) -> bool + Sync + 'a;
-
-/// An image, and what of it counts.
-#[derive(Clone, Copy)]
-pub struct Picture<'a> {
-    /// The image.
-    pub image: &'a GrayImage,
-    /// Which pixels count; `None` for all.
-    pub counts: Option<&'a Counts<'a>>,
-}
+pub use plane::{Counts, Picture};
 
 /// The longer side of a target that is searched for, samples at most;
 const TARGET_SAMPLES: f64 = 120.0;
 /// and that of the view.
 const VIEW_SAMPLES: f64 = 400.0;
-/// By half a step of the angle the target's pixels move so far, root mean square, samples.
-const TURN_STEP_PX: f64 = 1.0;
 /// How far around its place each block looks: first, and when the place is known better, samples.
 const REACH: [usize; 2] = [6, 3];
 /// A block agrees when it lands this near, samples.
@@ -51,7 +40,7 @@ const AGREES: f64 = 2.5;
 const MOST_SAMPLES: usize = 1_600_000;
 /// Expected number of agreements as good between unrelated images, at most, as blocks count it: log10. Blocks of one peak are not
 /// independent, as they are what made it a peak; what unrelated images reach is measured (docs/measured.md).
-const LOG10_CHANCE: f64 = -12.0;
+const LOG10_CHANCE: f64 = -16.0;
 /// What is looked at more finely, and so many of these at most.
 const LOG10_PROPOSED: f64 = -0.5;
 const PROPOSED: usize = 3;
@@ -78,29 +67,6 @@ pub struct Correlation {
     pub rivals: Vec<Rival>,
     /// The highest peak, and the highest of those elsewhere; 1 for what is the same.
     pub peaks: [f32; 2],
-}
-
-/// View and target at one scale.
-struct Matched<'a> {
-    view: &'a Plane,
-    target: &'a Plane,
-    view_size: [usize; 2],
-    target_size: [usize; 2],
-    /// Target pixels per view pixel.
-    ratio: f64,
-}
-
-impl Matched<'_> {
-    /// Samples of the target for one of the view.
-    fn target_pitch(&self) -> f64 {
-        self.ratio * self.view.every as f64 / self.target.every as f64
-    }
-
-    /// The target's sides in samples of the view.
-    fn target_samples(&self) -> [f64; 2] {
-        let pitch = self.target_pitch();
-        [self.target.width, self.target.height].map(|n| n as f64 / pitch)
-    }
 }
 
 /// Looks for a target in a view at a known scale.

@@ -1,7 +1,19 @@
 //! An image made ready to be correlated: thinned out, without noise and shading, and with the same contrast everywhere that it has any.
 
-use super::Picture;
+use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, Mat2, Vec2};
+
+/// Whether a pixel counts: not where something is fixed to the camera.
+pub type Counts<'a> = dyn Fn(Vec2) -> bool + Sync + 'a;
+
+/// An image, and what of it counts.
+#[derive(Clone, Copy)]
+pub struct Picture<'a> {
+    /// The image.
+    pub image: &'a GrayImage,
+    /// Which pixels count; `None` for all.
+    pub counts: Option<&'a Counts<'a>>,
+}
 
 /// Half side of the square whose mean is taken for shading, twice in a row, samples.
 const WIDE: usize = 5;
@@ -249,7 +261,6 @@ pub(super) fn box_mean(values: &mut [f32], width: usize, height: usize, reach: u
 #[cfg(test)]
 mod tests {
     use super::*;
-    use scopeservo_features::GrayImage;
     use scopeservo_geometry::SplitMix64;
 
     #[test]
@@ -301,7 +312,7 @@ mod tests {
 
     #[test]
     fn gain_and_offset_change_nothing_and_what_does_not_count_is_nothing() {
-        let plane = |image: &GrayImage, counts: Option<&super::super::Counts<'_>>| {
+        let plane = |image: &GrayImage, counts: Option<&super::Counts<'_>>| {
             Plane::of(&Picture { image, counts }, 2).unwrap()
         };
         let (one, other) = (tissue(0.2, 0.1), tissue(0.05, 0.6));

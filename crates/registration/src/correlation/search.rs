@@ -1,7 +1,7 @@
 //! Where in the view the target might lie: the highest peaks of the correlation over all places and angles.
 
+use super::matched::Matched;
 use super::plane::{Plane, box_mean};
-use super::{Matched, TURN_STEP_PX};
 use crate::RotationPrior;
 use crate::fourier::{C32, Fourier, smooth_size};
 use crate::prior::wrap;
@@ -9,6 +9,8 @@ use rayon::prelude::*;
 use scopeservo_geometry::{Affine2, Mat2, Vec2};
 use std::f64::consts::TAU;
 
+/// By half a step of the angle the target's pixels move so far, root mean square, samples.
+const TURN_STEP_PX: f64 = 1.0;
 /// Peaks of one angle that are kept, and of all angles.
 const OF_EACH: usize = 3;
 const MOST: usize = 12;

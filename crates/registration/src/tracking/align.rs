@@ -1,6 +1,6 @@
 //! Similarity, gain and offset between an image and a reference, by inverse composition on chosen pixels.
 
-use super::Motion;
+use super::motion::Motion;
 use scopeservo_geometry::cholesky_inverse;
 
 /// Pixels nearer to the border are not chosen.

@@ -65,6 +65,23 @@ pub(crate) struct Scene {
 pub(crate) struct Specimen {
     pub(crate) name: String,
     pub(crate) source: Source,
+    /// The same with half as many pixels along both axes, and so on: a wide view is drawn from one of these.
+    coarser: Vec<Source>,
+}
+
+/// Means of two by two pixels.
+fn halved(source: &Source) -> Source {
+    let (width, height) = (source.width / 2, source.height / 2);
+    let at = |x: usize, y: usize| source.data[y * source.width + x];
+    let mean = |i: usize| {
+        let (x, y) = (2 * (i % width), 2 * (i / width));
+        0.25 * (at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1))
+    };
+    Source {
+        width,
+        height,
+        data: (0..width * height).map(mean).collect(),
+    }
 }
 
 impl Specimen {
@@ -87,12 +104,30 @@ impl Specimen {
                 height: gray.height,
                 data: gray.data,
             };
+            let source = source.landscape();
+            let half = halved(&source);
             all.push(Self {
                 name: name.into_owned(),
-                source: source.landscape(),
+                coarser: vec![halved(&half), half],
+                source,
             });
         }
         Ok(all)
+    }
+
+    /// Draws an image from the coarsest pixels that are no larger than its own.
+    fn render(&self, source_from_pixel: &Affine2, seed: u64) -> GrayImage {
+        let pitch = source_from_pixel.linear.det().abs().sqrt();
+        let levels = [4.0, 2.0].into_iter().zip(&self.coarser);
+        let (of, source) = levels
+            .into_iter()
+            .find(|(of, _)| pitch >= *of)
+            .unwrap_or((1.0, &self.source));
+        let level_from_source = Affine2 {
+            linear: Mat2::diagonal(1.0 / of, 1.0 / of),
+            offset: [-(of - 1.0) / (2.0 * of); 2],
+        };
+        source.render(&level_from_source.after(source_from_pixel), NOISE, seed)
     }
 }
 
@@ -212,8 +247,8 @@ fn pair(
             .then(|| (about(centre, turn, pitch * zoom), target))
     })?;
     Some(Pair {
-        view: s.source.render(&source_from_view, NOISE, rng.next_u64()),
-        target: s.source.render(&source_from_target, NOISE, rng.next_u64()),
+        view: s.render(&source_from_view, rng.next_u64()),
+        target: s.render(&source_from_target, rng.next_u64()),
         target_from_view: source_from_target.inverse()?.after(&source_from_view),
         zoom,
     })
@@ -259,8 +294,8 @@ fn apart(s: &Specimen, zoom: f64, rng: &mut SplitMix64) -> Option<(GrayImage, Gr
         let (of_view, of_target) = (about(a, 0.0, pitch * zoom), about(b, angle, pitch));
         let textured = |t: &Affine2| glance(&s.source, t).is_some_and(|g| busy(&g) > 0.25);
         (textured(&of_view) && textured(&of_target)).then(|| {
-            let view = s.source.render(&of_view, NOISE, seeds[0]);
-            (view, s.source.render(&of_target, NOISE, seeds[1]))
+            let view = s.render(&of_view, seeds[0]);
+            (view, s.render(&of_target, seeds[1]))
         })
     })
 }
@@ -284,8 +319,8 @@ fn serial(specimens: &[Specimen], zoom: f64, rng: &mut SplitMix64) -> Option<Sce
         let textured = glance(&three.source, &of_target).is_some_and(|g| busy(&g) > 0.25);
         textured.then_some((of_view, of_target, share))
     })?;
-    let view = one.source.render(&of_view, NOISE, rng.next_u64());
-    let target = three.source.render(&of_target, NOISE, rng.next_u64());
+    let view = one.render(&of_view, rng.next_u64());
+    let target = three.render(&of_target, rng.next_u64());
     Some(Scene {
         slide: format!("bulb at {:.2} {:.2}", at[0], at[1]),
         view,
