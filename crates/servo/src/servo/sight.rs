@@ -1,7 +1,7 @@
 //! One frame of the loop, understood: where it lies in the target, and the pose error.
 
 use super::convergence::Measured;
-use super::reach::{turned_within, turning};
+use super::turning::{turned_within, turning};
 use crate::hand_eye::pose_sigma;
 use crate::proof::{FixedPlaces, Station};
 use crate::vision::{centre_px, gray};
