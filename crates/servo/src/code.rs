@@ -112,7 +112,7 @@ impl ServoError {
             | Self::PictureStays { .. }
             | Self::StageTooCoarse { .. }
             | Self::WrongObjective { .. } => ErrorCode::WrongObjective,
-            Self::PoorTarget { .. } | Self::HopelessTarget { .. } | Self::NothingToFollow => {
+            Self::PoorTarget { .. } | Self::HopelessTarget(_) | Self::NothingToFollow => {
                 ErrorCode::PoorTarget
             }
             Self::NothingMoves { .. } | Self::CheckStands { .. } => ErrorCode::NothingMoves,

@@ -1,6 +1,5 @@
 //! What can stop a procedure.
 
-use crate::TargetQuality;
 use crate::words::{pitch_in_words, rival_in_words, way_in_words};
 use scopeservo_features::FeatureError;
 use scopeservo_registration::{NoGrid, NotFound, Rival};
@@ -301,11 +300,8 @@ pub enum ServoError {
         needed: usize,
     },
     /// What the view shows is too little to be found again.
-    #[error("this view {quality}; nothing was saved")]
-    HopelessTarget {
-        /// What was tried.
-        quality: Box<TargetQuality>,
-    },
+    #[error("this view {0}; nothing was saved")]
+    HopelessTarget(Box<crate::TargetQuality>),
     /// The stage moved, and nothing in the image did.
     #[error(
         "the stage moved by {moved_um:.1} um with {objective}, and nothing of the {features} features in the image moved with it: it is stuck, or \

@@ -22,6 +22,7 @@ mod sight;
 mod state;
 mod take_over;
 pub(crate) mod task;
+mod turning;
 pub(crate) mod watch;
 
 use crate::one_side::move_from_one_side;

@@ -5,7 +5,7 @@ use super::missing::{Beyond, Missing};
 use super::sight::{Located, Sight};
 use super::state::Servo;
 use crate::{ServoEnd, ServoError, ServoTask, control_law};
-use scopeservo_scope::{Axis, AxisRange, Instrument, Kinematics, StagePose};
+use scopeservo_scope::{AxisRange, Instrument, Kinematics, StagePose};
 
 /// What lies past an end by so many standard deviations does so surely...
 const SIGMAS: f64 = 3.0;
@@ -113,43 +113,4 @@ fn unsure_m(task: &ServoTask<'_>, located: &Located) -> f64 {
     let move_m = known.map_or(UNKNOWN_SHARE * way_m + sweep_m, |sigma_m| SIGMAS * sigma_m);
     let change_m = if task.is_arrival() { 0.0 } else { PARCENTRIC_M };
     move_m + SIGMAS * f64::hypot(x, y) + change_m
-}
-
-/// An angle of an axis, or the one a full turn from it, whichever the axis can take: both show the same.
-pub(crate) fn turned_within(theta_rad: f64, range: Option<&AxisRange>) -> f64 {
-    let Some(range) = range else { return theta_rad };
-    let holds = |theta: &f64| (range.min..=range.max).contains(theta);
-    let full = std::f64::consts::TAU;
-    let all = [theta_rad, theta_rad - full, theta_rad + full];
-    all.into_iter().find(holds).unwrap_or(theta_rad)
-}
-
-/// Where the rotation may go.
-pub(crate) fn turning(scope: &Instrument) -> Option<AxisRange> {
-    let mut ranges = scope.gate().ranges().iter();
-    ranges.find(|range| range.axis == Axis::Rz).copied()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_full_turn_more_or_less_is_taken_where_only_that_is_within_the_travel() {
-        let of = |max: f64| AxisRange {
-            axis: Axis::Rz,
-            min: -max.to_radians(),
-            max: max.to_radians(),
-        };
-        let within = |deg: f64, max: f64| {
-            let theta = turned_within(deg.to_radians(), Some(&of(max)));
-            theta.to_degrees().round()
-        };
-        assert_eq!(within(170.0, 180.0), 170.0);
-        assert_eq!(within(200.0, 180.0), -160.0);
-        assert_eq!(within(-200.0, 180.0), 160.0);
-        // Neither is: the nearer one is told.
-        assert_eq!(within(180.0, 21.0), 180.0);
-        assert_eq!(within(350.0, 21.0), -10.0);
-    }
 }

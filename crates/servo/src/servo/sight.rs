@@ -2,7 +2,7 @@
 
 use super::convergence::Measured;
 use super::pixels::Pixels;
-use super::reach::{turned_within, turning};
+use super::turning::{turned_within, turning};
 use crate::hand_eye::pose_sigma;
 use crate::pixels_seen::PixelsSeen;
 use crate::proof::{FixedPlaces, Station};

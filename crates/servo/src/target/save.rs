@@ -212,8 +212,7 @@ impl SaveTarget {
         let vision = &self.options.vision;
         let quality = tried(&target, image, objectives, um_per_px, vision)?;
         if quality.is_hopeless() {
-            let quality = Box::new(quality);
-            return Err(ServoError::HopelessTarget { quality });
+            return Err(ServoError::HopelessTarget(Box::new(quality)));
         }
         target.quality = Some(quality);
         Ok(target)

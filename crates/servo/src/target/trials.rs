@@ -50,7 +50,7 @@ pub(super) fn tried(
         let is_own = k + 1 == ladder.len();
         let views = VIEWS[if is_own { 2 } else { k.min(1) }];
         let ratio = objective.nominal_um_per_px / own_scale;
-        let mut rng = SplitMix64::new(0x7A26_E7 + k as u64);
+        let mut rng = SplitMix64::new(0x007A_26E7 + k as u64);
         let mut seen = Tried {
             objective: objective.id.clone(),
             views,

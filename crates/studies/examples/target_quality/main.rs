@@ -127,7 +127,7 @@ fn one(index: u64, known: &[Known]) -> Outcome<Record> {
         Err(error) => {
             record.refused = true;
             record.reason = word(&error.code())?;
-            let ServoError::HopelessTarget { quality } = error else {
+            let ServoError::HopelessTarget(quality) = error else {
                 return Ok(record);
             };
             record.quality = Some(*quality);
