@@ -74,6 +74,7 @@ impl Watch {
             stays: first && self.promise.is_some(),
             // Where it went back before, it goes on in small steps.
             trust: self.trust.after_a_change(),
+            refit: Refit::doubting(self.is_wary()),
             ..Self::default()
         }
     }
@@ -110,7 +111,9 @@ impl Watch {
                     true => {}
                     false => self.refit.take(way_m, off_m, lever, promise.sigma_m),
                 }
-                let drifts = kept == Kept::Drifted && !handed;
+                // Where a move has lost the target less is promised, and what is off shows in the fit.
+                let shows = kept == Kept::Drifted || self.refit.doubted && self.refit.shows();
+                let drifts = shows && !handed;
                 if drifts && !std::mem::replace(&mut self.refit.drifted, true) {
                     self.remarks
                         .extend(self.refit.remark(&mover.view.objective));
@@ -177,6 +180,7 @@ impl Watch {
         let may = self.trust == Trust::Whole && !self.stays;
         let promise = self.promise.take_if(|_| may)?;
         (self.trust, self.handed) = (Trust::Shift, false);
+        self.refit.doubted = true;
         self.breaks(None);
         Some((promise.before, promise.from))
     }
