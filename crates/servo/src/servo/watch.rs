@@ -1,6 +1,6 @@
 //! The camera as an encoder: how the promises of moves were kept, and what follows of it.
 
-use super::promise::{DRIFTED_CENTRE_M, Kept, Mover, Promise, apart};
+use super::promise::{DRIFTED_CENTRE_M, Kept, Mover, Promise};
 use super::refit::{Refit, Remark};
 use crate::{Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity};
 use scopeservo_scope::ObjectiveId;
@@ -106,7 +106,7 @@ impl Watch {
                     // It was another objective's calibration that made it.
                     true if kept == Kept::Drifted => self.remarks.push(Remark::Beside {
                         objective: mover.view.objective.clone(),
-                        um: 1e6 * apart(&promise.to, &seen.error).0,
+                        um: 1e6 * f64::hypot(off_m[0], off_m[1]),
                     }),
                     true => {}
                     false => self.refit.take(way_m, off_m, lever, promise.sigma_m),
