@@ -323,7 +323,7 @@ impl Reposition {
             }
             Work::Identify(identify) => {
                 let seen = identify.step(scope, sink);
-                self.looked_at(leg.objective(), seen)
+                self.looked_at(scope, leg.objective(), seen)
             }
         }
     }

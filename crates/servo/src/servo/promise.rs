@@ -33,9 +33,8 @@ pub(crate) struct Promise {
     /// Where the stage stood, and where it was sent.
     pub(super) before: PlanarPose,
     goal: PlanarPose,
-    /// The error before, and after it.
+    /// The error before.
     pub(super) from: PoseError,
-    pub(super) to: PoseError,
     /// Standard deviations of the error after it, m for each coordinate, and rad.
     pub(super) sigma_m: f64,
     sigma_rad: f64,
@@ -72,12 +71,10 @@ impl Promise {
         let arrival_sq = x * x + y * y + (lever_m * turn).powi(2) + play_m * play_m;
         let known_m = mover.view.move_sigma_m(way_m, turned_rad).unwrap_or(0.0);
         let [a, b, angle] = seen.sigma();
-        let motion = motion_between(mover.kinematics, &before, &goal);
         Self {
             before,
             goal,
             from,
-            to: error_after(&from, &motion, mover.view),
             sigma_m: (arrival_sq + known_m * known_m + a * a + b * b + change_m * change_m).sqrt(),
             sigma_rad: f64::hypot(std::f64::consts::SQRT_2 * turn, angle),
         }
@@ -91,7 +88,8 @@ impl Promise {
 
     /// What the next frame says of it. `view_m`: size of its pixels.
     pub(crate) fn kept(&self, seen: &PoseEstimate, mover: &Mover<'_>, view_m: f64) -> Kept {
-        let promised = self.to;
+        // With this view's own centre: what another objective handed over lies beside that.
+        let promised = self.error_at(&self.goal, mover);
         let [a, b, angle] = seen.sigma();
         let unsure_m = SIGMAS * (self.sigma_m.powi(2) + a * a + b * b).sqrt() + view_m;
         let unsure_rad = SIGMAS * f64::hypot(self.sigma_rad, angle) + SLACK_RAD;
@@ -239,7 +237,7 @@ impl Promise {
 }
 
 /// How far two errors are apart, m and rad.
-pub(super) fn apart(a: &PoseError, b: &PoseError) -> (f64, f64) {
+fn apart(a: &PoseError, b: &PoseError) -> (f64, f64) {
     let turn = a.theta_rad - b.theta_rad;
     let distance = f64::hypot(a.t_m[0] - b.t_m[0], a.t_m[1] - b.t_m[1]);
     (distance, turn.sin().atan2(turn.cos()).abs())

@@ -11,6 +11,9 @@ const SCALE: f64 = 0.03;
 const ANGLE_RAD: f64 = 0.078;
 const CENTRE_M: f64 = 4.6e-3;
 
+/// What is off by so many standard deviations is told.
+const SURE: f64 = 4.0;
+
 /// What a run learnt of its instrument and went on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "remark", rename_all = "snake_case")]
@@ -56,9 +59,26 @@ pub(crate) struct Refit {
     vector: [f64; 4],
     /// Whether a move has shown that the calibration drifted.
     pub(crate) drifted: bool,
+    /// Whether a move has lost the target: then it may have.
+    #[serde(default)]
+    pub(crate) doubted: bool,
 }
 
 impl Refit {
+    /// Nothing is known yet; `doubted`: nor is the calibration trusted.
+    pub(crate) fn doubting(doubted: bool) -> Self {
+        Self {
+            doubted,
+            ..Self::default()
+        }
+    }
+
+    /// Whether what is off is more than what is not known of it.
+    pub(crate) fn shows(&self) -> bool {
+        let surely = |k: &Known| k.value.abs() > SURE * k.sigma;
+        self.estimate().iter().any(surely)
+    }
+
     /// Takes a move that was to change the error by `way_m` and ended `off_m` beside that, standard deviation `sigma_m`. By `lever` the view
     /// goes where the rotation centre lies elsewhere.
     pub(crate) fn take(&mut self, way_m: Vec2, off_m: Vec2, lever: Mat2, sigma_m: f64) {
@@ -113,7 +133,7 @@ impl Refit {
 
     /// As much of it as a calibration is believed to be off, in units of what is to be expected. A scale is that of the target.
     fn applied(&self) -> [f64; 4] {
-        if !self.drifted {
+        if !self.drifted && !self.doubted {
             return [0.0; 4];
         }
         let [_, angle, x, y] = self.estimate().map(|k| k.value);
@@ -141,7 +161,7 @@ impl Refit {
 
     /// A calibration as it is known now: turned and with the centre that the moves have shown, and no better known than by them.
     pub(crate) fn believed<'a>(&self, view: &'a Calibration) -> Cow<'a, Calibration> {
-        if !self.drifted {
+        if !self.drifted && !self.doubted {
             return Cow::Borrowed(view);
         }
         let [scale, angle, x, y] = self.estimate();

@@ -1,6 +1,6 @@
 //! The camera as an encoder: how the promises of moves were kept, and what follows of it.
 
-use super::promise::{DRIFTED_CENTRE_M, Kept, Mover, Promise, apart};
+use super::promise::{DRIFTED_CENTRE_M, Kept, Mover, Promise};
 use super::refit::{Refit, Remark};
 use crate::{Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity};
 use scopeservo_scope::ObjectiveId;
@@ -74,6 +74,7 @@ impl Watch {
             stays: first && self.promise.is_some(),
             // Where it went back before, it goes on in small steps.
             trust: self.trust.after_a_change(),
+            refit: Refit::doubting(self.is_wary()),
             ..Self::default()
         }
     }
@@ -105,12 +106,14 @@ impl Watch {
                     // It was another objective's calibration that made it.
                     true if kept == Kept::Drifted => self.remarks.push(Remark::Beside {
                         objective: mover.view.objective.clone(),
-                        um: 1e6 * apart(&promise.to, &seen.error).0,
+                        um: 1e6 * f64::hypot(off_m[0], off_m[1]),
                     }),
                     true => {}
                     false => self.refit.take(way_m, off_m, lever, promise.sigma_m),
                 }
-                let drifts = kept == Kept::Drifted && !handed;
+                // Where a move has lost the target less is promised, and what is off shows in the fit.
+                let shows = kept == Kept::Drifted || self.refit.doubted && self.refit.shows();
+                let drifts = shows && !handed;
                 if drifts && !std::mem::replace(&mut self.refit.drifted, true) {
                     self.remarks
                         .extend(self.refit.remark(&mover.view.objective));
@@ -177,6 +180,7 @@ impl Watch {
         let may = self.trust == Trust::Whole && !self.stays;
         let promise = self.promise.take_if(|_| may)?;
         (self.trust, self.handed) = (Trust::Shift, false);
+        self.refit.doubted = true;
         self.breaks(None);
         Some((promise.before, promise.from))
     }

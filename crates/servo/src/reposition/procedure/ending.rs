@@ -45,6 +45,7 @@ impl Reposition {
     /// What a look at the objective says to a target that was not seen.
     pub(super) fn looked_at(
         &self,
+        scope: &Instrument,
         told: &ObjectiveId,
         seen: Result<Progress<Identity>, ServoError>,
     ) -> Result<Option<Outcome>, ServoError> {
@@ -62,7 +63,10 @@ impl Reposition {
                 Err(error)
             }
             // It is, or that could not be seen either.
-            Ok(Progress::Done(_)) | Err(_) => Ok(not_found()),
+            Ok(Progress::Done(_)) | Err(_) => {
+                self.leave_as_found(scope)?;
+                Ok(not_found())
+            }
         }
     }
 
@@ -73,6 +77,14 @@ impl Reposition {
                 self.to_the_start(scope)
             }
             _ => Ok(()),
+        }
+    }
+
+    /// A view that was not found where moves led that nobody has seen the end of: it is left as it was found.
+    pub(super) fn leave_as_found(&self, scope: &Instrument) -> Result<(), ServoError> {
+        match self.watch.promise {
+            Some(_) => self.to_the_start(scope),
+            None => Ok(()),
         }
     }
 
