@@ -13,7 +13,7 @@ pub(crate) fn figure(r: &Report<'_>, m: &Magnification<'_>) -> String {
         let name = view_name(i.sequence);
         Some((evidence, r.gallery.size(&name)?, name))
     });
-    let Some((evidence, [w, h], name)) = asked else {
+    let Some((evidence, (w, h), name)) = asked else {
         return String::new();
     };
     let mut squares = String::new();
