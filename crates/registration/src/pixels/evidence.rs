@@ -110,7 +110,7 @@ pub fn weigh(pictures: &Pictures<'_>, target_from_view: &Affine2, fitted: &[Vec2
 }
 
 fn judgement(asked: usize, log10_chance: Option<f64>) -> Judgement {
-    let log10_chance = log10_chance.unwrap_or(0.0);
+    let log10_chance = log10_chance.unwrap_or(f64::INFINITY);
     match asked {
         _ if log10_chance < AGREES => Judgement::Agrees,
         LEAST_BLOCKS.. if log10_chance > CONTRADICTS => Judgement::Contradicts,
