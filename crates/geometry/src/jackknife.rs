@@ -62,12 +62,14 @@ pub(crate) fn changes<const N: usize, const M: usize>(
     let mut parts = vec![([[0.0; N]; N], [[0.0; N]; M]); blocks];
     for e in equations {
         let (normal, right) = &mut parts[e.block];
-        for i in 0..N {
-            for j in 0..N {
-                normal[i][j] += e.slope * e.row[i] * e.row[j];
+        for (row, a) in normal.iter_mut().zip(e.row) {
+            for (cell, b) in row.iter_mut().zip(e.row) {
+                *cell += e.slope * a * b;
             }
-            for (right, pull) in right.iter_mut().zip(e.pull) {
-                right[i] += pull * e.row[i];
+        }
+        for (right, pull) in right.iter_mut().zip(e.pull) {
+            for (cell, a) in right.iter_mut().zip(e.row) {
+                *cell += pull * a;
             }
         }
     }

@@ -196,7 +196,7 @@ impl<'a> Timeline<'a> {
                 sigma_px: *sigma_px,
                 pairs,
                 converged: *converged,
-                pixels: pixels.as_ref(),
+                pixels: pixels.as_deref(),
             }),
             Event::Lost {
                 objective,

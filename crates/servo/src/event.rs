@@ -183,7 +183,7 @@ pub enum Event {
         converged: bool,
         /// What the pixels say, with the target's own objective. Logs of earlier versions do not tell.
         #[serde(default, skip_serializing_if = "Option::is_none")]
-        pixels: Option<PixelsSeen>,
+        pixels: Option<Box<PixelsSeen>>,
     },
     /// A view was not found in the target.
     Lost {

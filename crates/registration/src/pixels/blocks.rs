@@ -118,5 +118,5 @@ fn energy(
     }
     let enough = counted as f64 >= COUNTS * tried as f64;
     let structured = sum > (STRUCTURED * noise).max(LEAST) * counted as f64;
-    (enough && structured).then(|| sum - noise * counted as f64)
+    (enough && structured).then_some(sum - noise * counted as f64)
 }

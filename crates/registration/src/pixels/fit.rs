@@ -431,9 +431,8 @@ fn eliminate<const ALL: usize>(sums: &mut [[f64; ALL]; ALL]) -> Normal<UNKNOWNS,
             }
         }
         // Done with: it takes nothing away again.
-        for i in 0..ALL {
-            (sums[i][pivot], sums[pivot][i]) = (0.0, 0.0);
-        }
+        sums[pivot].fill(0.0);
+        sums.iter_mut().for_each(|row| row[pivot] = 0.0);
     }
     let normal = std::array::from_fn(|i| std::array::from_fn(|j| sums[i.min(j)][i.max(j)]));
     let right = std::array::from_fn(|i| sums[i][UNKNOWNS + 2]);

@@ -204,7 +204,7 @@ impl<'a> Sight<'a> {
             sigma_px: self.located.estimate.sigma_px,
             pairs: registration.pairs.clone(),
             converged,
-            pixels: self.pixels.clone(),
+            pixels: self.pixels.clone().map(Box::new),
         }
     }
 }
