@@ -14,7 +14,7 @@ const TILE: usize = 16;
 pub(crate) fn smooth_size(n: usize) -> usize {
     let smooth = |mut k: usize| {
         for factor in [2, 3, 5] {
-            while k % factor == 0 {
+            while k.is_multiple_of(factor) {
                 k /= factor;
             }
         }

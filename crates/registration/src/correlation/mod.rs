@@ -24,7 +24,6 @@ use plane::Plane;
 use rayon::prelude::*;
 use scopeservo_geometry::Affine2;
 use search::Peak;
-use std::sync::OnceLock;
 
 pub use plane::{Counts, Picture};
 
@@ -85,10 +84,11 @@ pub fn correlate(
         rotation,
         ..Prior::default()
     };
-    let run = Run {
+    let mut run = Run {
         view,
         target,
         levels: &levels,
+        planes: Vec::new(),
         prior: &prior,
         options,
     };
@@ -119,12 +119,9 @@ fn sort(all: &mut [(Peak, Agreed)]) {
     all.sort_by(|a, b| a.1.log10_nfa.total_cmp(&b.1.log10_nfa));
 }
 
-/// View and target, made when they are asked for.
-type Planes = OnceLock<Option<(Plane, Plane)>>;
-
-/// View pixels that make a sample, from where the search is to the finest, and the planes there.
+/// View pixels that make a sample, from where the search is to the finest.
 struct Levels {
-    planes: Vec<(usize, Planes)>,
+    every: Vec<usize>,
     search: usize,
     finest: usize,
 }
@@ -148,9 +145,8 @@ impl Levels {
         }
         let search = levels.last().copied().unwrap_or(finest);
         levels.reverse();
-        let planes = levels.into_iter().map(|every| (every, OnceLock::new()));
         Self {
-            planes: planes.collect(),
+            every: levels,
             search,
             finest,
         }
@@ -169,13 +165,16 @@ struct Run<'a> {
     view: &'a Picture<'a>,
     target: &'a Picture<'a>,
     levels: &'a Levels,
+    /// View and target at the levels that were needed so far.
+    planes: Vec<Option<(Plane, Plane)>>,
     prior: &'a Prior,
     options: &'a Options,
 }
 
 impl Run<'_> {
-    fn answer(&self) -> Result<Correlation, NotFound> {
+    fn answer(&mut self) -> Result<Correlation, NotFound> {
         let blank = NotFound::NoAgreement { matches: 0 };
+        self.make(1);
         let matched = self.at(0).ok_or_else(|| blank.clone())?;
         let angles = search::angles(&matched, self.prior.rotation);
         let peaks = search::peaks(&matched, &angles);
@@ -184,6 +183,7 @@ impl Run<'_> {
         let poor = proposed
             .first()
             .is_none_or(|(_, a)| a.log10_nfa > LOG10_CHANCE);
+        self.make(if poor { 2 } else { 1 });
         if let Some(closer) = self.at(1).filter(|_| poor) {
             proposed.extend(self.proposed(&closer, &peaks[..peaks.len().min(PROPOSED)]));
         }
@@ -191,15 +191,19 @@ impl Run<'_> {
         proposed.truncate(PROPOSED);
         let least = proposed.first().map_or(0.0, |(_, a)| AS_GOOD * a.log10_nfa);
         proposed.retain(|(_, a)| a.log10_nfa <= least.max(LOG10_RIVAL));
+        if !proposed.is_empty() {
+            self.make(usize::MAX);
+        }
         let mut refined: Vec<(Peak, Agreed)> = proposed
             .into_par_iter()
             .map(|(peak, agreed)| (peak, self.finer(agreed)))
             .collect();
         sort(&mut refined);
         let mut refined = refined.into_iter();
-        let (peak, best) = refined.next().ok_or(blank)?;
+        let (peak, best) = refined.next().ok_or_else(|| blank.clone())?;
         let mut rivals = self.rivals(&best, refined.as_slice());
         // What repeats itself has other peaks that are as high, wherever its blocks land.
+        let matched = self.at(0).ok_or(blank)?;
         let elsewhere: Vec<(Affine2, f32)> = peaks
             .iter()
             .map(|p| (p.target_from_view(&matched), p.height))
@@ -251,25 +255,30 @@ impl Run<'_> {
         })
     }
 
-    /// View and target at a level, counted from where the search is.
-    fn at(&self, level: usize) -> Option<Matched<'_>> {
-        let ratio = self.prior.scale?.ratio;
-        let (every, planes) = self.levels.planes.get(level)?;
-        let planes = planes.get_or_init(|| {
+    /// Makes so many levels, counted from where the search is, if there are.
+    fn make(&mut self, levels: usize) {
+        let Some(scale) = self.prior.scale else {
+            return;
+        };
+        let made = self.planes.len();
+        for &every in self.levels.every.iter().take(levels).skip(made) {
             // What the view's sample covers, or a little less.
-            let of_target = ((ratio * *every as f64 + 1e-6) as usize).max(1);
-            Some((
-                Plane::of(self.view, *every)?,
-                Plane::of(self.target, of_target)?,
-            ))
-        });
-        let (view, target) = planes.as_ref()?;
+            let of_target = ((scale.ratio * every as f64 + 1e-6) as usize).max(1);
+            let view = Plane::of(self.view, every);
+            self.planes
+                .push(view.zip(Plane::of(self.target, of_target)));
+        }
+    }
+
+    /// View and target at a level that was made.
+    fn at(&self, level: usize) -> Option<Matched<'_>> {
+        let (view, target) = self.planes.get(level)?.as_ref()?;
         Some(Matched {
             view,
             target,
             view_size: size(self.view),
             target_size: size(self.target),
-            ratio,
+            ratio: self.prior.scale?.ratio,
         })
     }
 
@@ -301,7 +310,7 @@ impl Run<'_> {
 
     /// The same at finer levels, as far as they say more.
     fn finer(&self, mut best: Agreed) -> Agreed {
-        let last = self.levels.planes.len() - 1;
+        let last = self.levels.every.len() - 1;
         for level in last.min(1)..=last {
             let (Some(matched), Some(found)) = (self.at(level), best.registration.found()) else {
                 return best;
