@@ -100,13 +100,16 @@ impl Promise {
         let way_m = apart(&self.from, &promised).0;
         let turned_rad = (self.goal.theta_rad - self.before.theta_rad).abs();
         let sweep_m = 2.0 * DRIFTED_CENTRE_M * (0.5 * turned_rad).sin().abs();
+        // A stage with its rotation far away goes farther than the view does.
+        let by_m = [0, 1].map(|k| self.goal.x_m[k] - self.before.x_m[k]);
+        let gone_m = way_m.max(f64::hypot(by_m[0], by_m[1]));
         // What stands or goes the other way explains all of it; a share of the way is what a drifted calibration makes of it, too.
-        let cause = self.cause(&seen.error, mover, unsure_m + LEAVES * way_m);
+        let cause = self.cause(&seen.error, mover, unsure_m + LEAVES * gone_m);
         let sure = !matches!(
             cause,
             Contradiction::Share(_) | Contradiction::Turned(_) | Contradiction::Elsewhere
         );
-        if sure && DRIFTED_SHARE * way_m > unsure_m {
+        if sure && DRIFTED_SHARE * gone_m > unsure_m {
             return Kept::No(cause);
         }
         if off_m <= unsure_m + DRIFTED_SHARE * way_m + sweep_m
