@@ -77,6 +77,16 @@ impl Chain {
         Some(([a_px, across], [a_m[0] - reference[0], b_m[1] - a_m[1]]))
     }
 
+    /// Whether the first moves showed the scale that is engraved.
+    pub(super) fn began_as_engraved(&self) -> bool {
+        self.corners().is_some_and(|([a, b], [x_m, y_m])| {
+            let seen_px2 = (a[0] * b[1] - a[1] * b[0]).abs();
+            let um_per_px = 1e6 * (x_m * y_m / seen_px2).abs().sqrt();
+            let factor = um_per_px / self.objective.nominal_um_per_px;
+            factor.max(1.0 / factor) <= self.options.nominal_factor
+        })
+    }
+
     /// Each axis of the plane moves the image, and not as the other does.
     fn plane(&self, scope: &Instrument) -> Result<(), ServoError> {
         let Some((seen, asked_m)) = self.corners() else {
@@ -195,7 +205,7 @@ impl Chain {
     }
 
     /// That a view is not where it should be; or what the turned ones tell of the reason.
-    fn astray(&self, scope: &Instrument, off_um: Option<f64>) -> ServoError {
+    pub(super) fn astray(&self, scope: &Instrument, off_um: Option<f64>) -> ServoError {
         self.turns_wrongly(scope).unwrap_or(ServoError::ViewAstray {
             objective: self.objective.id.clone(),
             off_um,

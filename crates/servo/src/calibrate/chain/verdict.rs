@@ -64,7 +64,14 @@ impl Chain {
             });
         }
         let seen = (residual_px, stated_px);
-        self.options.judge(&calibration, &self.objective, seen)?;
+        let judged = self.options.judge(&calibration, &self.objective, seen);
+        judged.map_err(|error| match error {
+            // An objective does not change its scale on the way.
+            ServoError::CalibrationImplausible { .. } if self.began_as_engraved() => {
+                self.astray(scope, None)
+            }
+            error => error,
+        })?;
         Ok((calibration, residual_px))
     }
 
