@@ -26,7 +26,7 @@ const LEAST_VARIANCE: f64 = 1e-12;
 pub struct Plane {
     width: usize,
     height: usize,
-    data: Vec<f32>,
+    pub(crate) data: Vec<f32>,
 }
 
 impl Plane {
@@ -79,11 +79,6 @@ impl Plane {
     /// The values, row by row.
     pub(crate) fn values(&self) -> &[f32] {
         &self.data
-    }
-
-    /// The values alone.
-    pub(crate) fn into_values(self) -> Vec<f32> {
-        self.data
     }
 
     /// The value between pixels; `None` outside.

@@ -224,7 +224,6 @@ fn a_transform_is_refined_to_the_noise_at_every_scale_and_known_as_well_as_it_sa
             pulls.push(case.turned_rad(&found.target_from_view).abs() / found.sigma_angle_rad);
         }
         errors.sort_by(f64::total_cmp);
-        println!("{zoom}: {errors:.4?} {pulls:.1?}");
         assert!(errors[4] <= most_px, "{zoom}:1 {errors:?}");
         let mean_sq = pulls.iter().map(|p| p * p).sum::<f64>() / pulls.len() as f64;
         assert!(mean_sq < 4.0 && mean_sq > 0.1, "{zoom}:1 {pulls:?}");
@@ -274,20 +273,17 @@ fn whatever_lies_between_it_helps_or_abstains() {
     for zoom in [1.0, 4.0] {
         for (name, change) in &changes {
             for noise in [0.01, 0.05] {
-                for seed in [11] {
-                    let case = change(case(seed, zoom, 0.03, [0.6, 0.6])).noisy(noise);
-                    let (start, found) = (case.start(0.1), case.refine(0.1));
-                    let was = case.error(&start.target_from_view) / zoom;
-                    let told = found
-                        .as_ref()
-                        .map(|f| case.error(&f.estimate.target_from_view) / zoom);
-                    println!("{zoom}:1 {name}, noise {noise}: {was:.3} -> {told:.4?}");
-                    if let Ok(is) = told {
-                        assert!(is < was + 0.05, "{zoom}:1 {name}, noise {noise}: {is}");
-                        assert!(noise > 0.01 || is < 0.06, "{zoom}:1 {name}: {is}");
-                    }
-                    assert!(noise > 0.01 || told.is_ok(), "{zoom}:1 {name}: {found:?}");
+                let case = change(case(11, zoom, 0.03, [0.6, 0.6])).noisy(noise);
+                let (start, found) = (case.start(0.1), case.refine(0.1));
+                let was = case.error(&start.target_from_view) / zoom;
+                let told = found
+                    .as_ref()
+                    .map(|f| case.error(&f.estimate.target_from_view) / zoom);
+                if let Ok(is) = told {
+                    assert!(is < was + 0.05, "{zoom}:1 {name}, noise {noise}: {is}");
+                    assert!(noise > 0.01 || is < 0.06, "{zoom}:1 {name}: {is}");
                 }
+                assert!(noise > 0.01 || told.is_ok(), "{zoom}:1 {name}: {found:?}");
             }
         }
     }
@@ -309,7 +305,6 @@ fn out_of_focus_it_helps_or_abstains_whichever_image_is_the_softer() {
             let told = found
                 .as_ref()
                 .map(|f| case.error(&f.estimate.target_from_view));
-            println!("{blurs:?}: {told:.4?}");
             if let Ok(is) = told {
                 assert!(
                     is < if blurs[0] > 4.0 { 0.15 } else { 0.06 },

@@ -8,7 +8,7 @@ mod same_image;
 mod waiting;
 
 use crate::{
-    Absent, AskImmersion, Camera, CancelToken, Clock, Devices, FlatField, Light, MotionGate,
+    Absent, AskImmersion, Camera, CancelToken, Clock, Devices, FlatField, Frame, Light, MotionGate,
     Obeying, Objective, ObjectiveId, Rules, ScopeError, StagePose,
 };
 use serde::{Deserialize, Serialize};
@@ -107,6 +107,21 @@ impl Instrument {
     /// [`ScopeError::Busy`] while another piece of work is under way.
     pub fn obey(&self, cancel: &CancelToken) -> Result<Obeying<'_>, ScopeError> {
         Obeying::begin(&self.gate, cancel)
+    }
+
+    /// Notices a camera that has frozen, by what it shows after moves.
+    ///
+    /// # Errors
+    /// [`ScopeError::Frozen`] once the same image has come again twice.
+    pub fn check_new(&self, frame: &Frame) -> Result<(), ScopeError> {
+        let Some(at) = self.gate.last_reported() else {
+            return Ok(());
+        };
+        let mut last = self.shown.lock().unwrap_or_else(|e| e.into_inner());
+        match same_image::Shown::comes_again(&mut last, frame, at) {
+            true => Err(ScopeError::Frozen { device: "camera" }),
+            false => Ok(()),
+        }
     }
 
     /// Stage and nosepiece, behind their rules.

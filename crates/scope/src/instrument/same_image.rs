@@ -1,12 +1,14 @@
-//! Whether a camera shows one image again and again, with new time stamps.
+//! Whether a camera shows one image again and again, with new time stamps: no two exposures of a sensor are the same to the last sample, and
+//! least of all with a move of the stage between them.
 
-use super::Instrument;
-use crate::{Axis, Frame, Samples, ScopeError, StagePose};
+use crate::{Axis, Frame, Samples, StagePose};
 
 /// So many samples tell whether two images are the same.
 const LOOKED_AT: usize = 1 << 16;
 /// An image with fewer levels than this may come twice: black, or white.
 const LEVELS: usize = 16;
+/// So does one without noise of what is out of focus: more than this share of its neighbours are equal.
+const EQUAL: f64 = 0.7;
 /// A stage that went less far may show the same, m and rad.
 const MOVED: [f64; 2] = [0.5e-6, 5e-5];
 /// So often may an image come again that a move was to change: frames are sometimes sent twice.
@@ -21,17 +23,12 @@ pub(super) struct Shown {
     again: u32,
 }
 
-impl Instrument {
-    /// Notices a camera that has frozen: no two exposures of a sensor are the same to the last sample, and least of all with a move of the
-    /// stage between them.
-    ///
-    /// # Errors
-    /// [`ScopeError::Frozen`] once the same image has come again twice.
-    pub fn check_new(&self, frame: &Frame) -> Result<(), ScopeError> {
-        let (Some(print), Some(at)) = (print(&frame.samples), self.gate.last_reported()) else {
-            return Ok(());
+impl Shown {
+    /// Takes the next image, with where the stage stands. Returns whether it is one that has come again too often.
+    pub(super) fn comes_again(last: &mut Option<Self>, frame: &Frame, at: StagePose) -> bool {
+        let Some(print) = print(&frame.samples) else {
+            return false;
         };
-        let mut last = self.shown.lock().unwrap_or_else(|e| e.into_inner());
         let again = match *last {
             Some(before) if before.print == print => {
                 let stays = before.again == 0 && !moved(&before.at, &at);
@@ -39,13 +36,10 @@ impl Instrument {
             }
             _ => 0,
         };
-        *last = Some(Shown { print, at, again });
-        if again > AGAIN {
-            // Once it is told it counts anew: who goes on may have mended it.
-            *last = None;
-            return Err(ScopeError::Frozen { device: "camera" });
-        }
-        Ok(())
+        // Once it is told it counts anew: who goes on may have mended it.
+        let is_told = again > AGAIN;
+        *last = (!is_told).then_some(Self { print, at, again });
+        is_told
     }
 }
 
@@ -57,7 +51,7 @@ fn moved(from: &StagePose, to: &StagePose) -> bool {
     })
 }
 
-/// A number that two images share only when they are the same; `None` for one of too few levels.
+/// A number that two images share only when they are the same; `None` for one of too few levels, or without noise and structure.
 fn print(samples: &Samples) -> Option<u64> {
     match samples {
         Samples::U8(v) => hash(v.len(), |i| u16::from(v[i])),
@@ -69,14 +63,18 @@ fn print(samples: &Samples) -> Option<u64> {
 fn hash(count: usize, at: impl Fn(usize) -> u16) -> Option<u64> {
     let mut levels = std::collections::BTreeSet::new();
     let mut print = 0xcbf2_9ce4_8422_2325_u64;
-    for i in (0..count).step_by(count / LOOKED_AT + 1) {
+    let (mut equal, mut looked_at) = (0usize, 0usize);
+    for i in (0..count.saturating_sub(1)).step_by(count / LOOKED_AT + 1) {
         let sample = at(i);
+        equal += usize::from(sample == at(i + 1));
+        looked_at += 1;
         if levels.len() < LEVELS {
             levels.insert(sample);
         }
         print = (print ^ u64::from(sample)).wrapping_mul(0x0100_0000_01b3);
     }
-    (levels.len() >= LEVELS).then_some(print)
+    let differs = equal as f64 <= EQUAL * looked_at as f64;
+    (levels.len() >= LEVELS && differs).then_some(print)
 }
 
 #[cfg(test)]
@@ -94,6 +92,9 @@ mod tests {
         assert_ne!(ramp(0), ramp(1));
         assert_eq!(print(&Samples::U16(vec![4095; 1000])), None);
         assert_eq!(print(&Samples::U8(Vec::new())), None);
+        // Without noise, and blurred: hardly any step from one sample to the next.
+        let smooth = (0..2000u16).map(|i| (i / 10) as u8).collect();
+        assert_eq!(print(&Samples::U8(smooth)), None);
     }
 
     #[test]

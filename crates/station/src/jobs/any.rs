@@ -37,7 +37,7 @@ pub enum Answer {
     Grid(Box<GridOutput>),
     Check(CheckOutput),
     SaveTarget(Box<SaveTargetOutput>),
-    Reposition(RepositionOutput),
+    Reposition(Box<RepositionOutput>),
     Identify(IdentifyOutput),
     Doctor(DoctorOutput),
 }
@@ -170,7 +170,9 @@ impl UseCase for AnyJob {
             Self::SaveTarget(job) => {
                 answer(job.step(work)?, |saved| Answer::SaveTarget(Box::new(saved)))
             }
-            Self::Reposition(job) => answer(job.step(work)?, Answer::Reposition),
+            Self::Reposition(job) => answer(job.step(work)?, |output| {
+                Answer::Reposition(Box::new(output))
+            }),
             Self::Identify(job) => answer(job.step(work)?, Answer::Identify),
             Self::Doctor(job) => answer(job.step(work)?, Answer::Doctor),
         })

@@ -211,7 +211,7 @@ pub(crate) fn draw(family: Family, specimens: &[Specimen], number: u64) -> Optio
             let of = |x: usize, y: usize| {
                 level - light * (x as f64 / 640.0 - 0.5).powi(2) + light * y as f64 / 2000.0
             };
-            let view = frame(|x, y| of(x, y), NOISE, &mut rng)?;
+            let view = frame(of, NOISE, &mut rng)?;
             scene(specimen.name.clone(), view, p.target, None, "")
         }
         Family::Lattice => lattice(zoom, number, &mut rng),
@@ -427,7 +427,7 @@ fn dust(specimens: &[Specimen], number: u64, rng: &mut SplitMix64) -> Option<Sce
         })
     };
     Some(Scene {
-        slide: if number % 3 == 0 {
+        slide: if number.is_multiple_of(3) {
             "blank".into()
         } else {
             s.name.clone()
