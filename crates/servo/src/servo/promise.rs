@@ -61,22 +61,30 @@ impl Promise {
         mover: &Mover<'_>,
         change_m: f64,
     ) -> Self {
-        let from = seen.error;
         let turned_rad = goal.theta_rad - before.theta_rad;
-        let way_m = f64::hypot(from.t_m[0], from.t_m[1]);
         let [x, y, turn] = mover.scatter;
         let eta = mover.view.rotation_centre_m.unwrap_or_default();
         let lever_m = f64::hypot(eta[0], eta[1]);
         let play_m = mover.view.backlash.map_or(UNKNOWN_PLAY_M, |_| 0.0);
         let arrival_sq = x * x + y * y + (lever_m * turn).powi(2) + play_m * play_m;
-        let known_m = mover.view.move_sigma_m(way_m, turned_rad).unwrap_or(0.0);
-        let [a, b, angle] = seen.sigma();
-        Self {
+        let sure = Self {
             before,
             goal,
-            from,
+            from: seen.error,
+            sigma_m: 0.0,
+            sigma_rad: 0.0,
+        };
+        // As far as this move goes, which may be a small part of what is off.
+        let way_m = apart(&seen.error, &sure.error_at(&goal, mover)).0;
+        // What a doubted calibration leaves open is no more than one that has drifted may be off.
+        let drifted_m = (DRIFTED_SHARE * way_m + sweep_m(turned_rad)) / SIGMAS;
+        let known_m = mover.view.move_sigma_m(way_m, turned_rad);
+        let known_m = known_m.unwrap_or(0.0).min(drifted_m);
+        let [a, b, angle] = seen.sigma();
+        Self {
             sigma_m: (arrival_sq + known_m * known_m + a * a + b * b + change_m * change_m).sqrt(),
             sigma_rad: f64::hypot(std::f64::consts::SQRT_2 * turn, angle),
+            ..sure
         }
     }
 
@@ -99,7 +107,7 @@ impl Promise {
         }
         let way_m = apart(&self.from, &promised).0;
         let turned_rad = (self.goal.theta_rad - self.before.theta_rad).abs();
-        let sweep_m = 2.0 * DRIFTED_CENTRE_M * (0.5 * turned_rad).sin().abs();
+        let sweep_m = sweep_m(turned_rad);
         // A stage with its rotation far away goes farther than the view does.
         let by_m = [0, 1].map(|k| self.goal.x_m[k] - self.before.x_m[k]);
         let gone_m = way_m.max(f64::hypot(by_m[0], by_m[1]));
@@ -246,6 +254,74 @@ fn apart(a: &PoseError, b: &PoseError) -> (f64, f64) {
     (distance, turn.sin().atan2(turn.cos()).abs())
 }
 
+/// How far a rotation centre that has drifted takes the view beside, m.
+fn sweep_m(turned_rad: f64) -> f64 {
+    2.0 * DRIFTED_CENTRE_M * (0.5 * turned_rad).sin().abs()
+}
+
 fn direction([x, y]: Vec2) -> f64 {
     y.atan2(x)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::servo::refit::Refit;
+    use scopeservo_scope::ObjectiveId;
+
+    /// After a loss a small step of both axes tells what is wrong, however far the target is still off.
+    #[test]
+    fn a_small_step_with_a_calibration_in_doubt_tells_signs_exchanged_and_standing_axes() {
+        let known = Calibration {
+            schema: crate::CALIBRATION_SCHEMA,
+            objective: ObjectiveId("10x".into()),
+            image_size_px: [640, 480],
+            stage_from_pixel: Mat2([[0.0, 2.2e-6], [2.2e-6, 0.0]]),
+            rotation_centre_m: Some([0.125, 0.0]),
+            covariance: Some([[0.0; 6]; 6]),
+            backlash: Some(crate::Backlash {
+                x_m: 0.0,
+                y_m: 0.0,
+                rz_rad: 0.0,
+                sigma: [0.0; 3],
+            }),
+            scatter: Some([2e-7, 2e-7, 3e-6]),
+        };
+        let mover = Mover {
+            kinematics: Kinematics::MovesMicroscope,
+            view: &Refit::doubting(true).believed(&known),
+            scatter: [2e-7, 2e-7, 3e-6],
+        };
+        let estimate = |error| PoseEstimate {
+            error,
+            covariance: [[1e-14, 0.0, 0.0], [0.0, 1e-14, 0.0], [0.0, 0.0, 1e-8]],
+        };
+        let from = estimate(PoseError {
+            t_m: [-1.7e-4, -5.0e-4],
+            theta_rad: 0.035,
+        });
+        let [x, y] = [9.1e-5, 5.4e-5];
+        let at = |x_m| PlanarPose {
+            x_m,
+            theta_rad: 0.0,
+        };
+        let moved = (at([0.0; 2]), at([x, y]));
+        let promise = Promise::of(&from, moved, &mover, 0.0);
+        let after = |x_m| {
+            let error = promise.error_at(&at(x_m), &mover);
+            promise.kept(&estimate(error), &mover, 2.2e-6)
+        };
+        assert_eq!(after([x, y]), Kept::Yes);
+        for (went, why) in [
+            ([-x, y], Contradiction::AxisReversed(Axis::X)),
+            ([x, -y], Contradiction::AxisReversed(Axis::Y)),
+            ([-x, -y], Contradiction::Reversed),
+            ([y, x], Contradiction::Swapped),
+            ([0.0, y], Contradiction::AxisStands(Axis::X)),
+            ([x, 0.0], Contradiction::AxisStands(Axis::Y)),
+            ([0.0, 0.0], Contradiction::NothingMoved),
+        ] {
+            assert_eq!(after(went), Kept::No(why), "{went:?}");
+        }
+    }
 }

@@ -314,7 +314,7 @@ pub(crate) fn all() -> Vec<Kind> {
         kind(
             "a limit on the way",
             Ends::Told,
-            &["outside_limits"],
+            &["cannot_reach"],
             What::Limit,
         ),
         drifts("scales 6 % off", &["drifted"], |_, c| {
