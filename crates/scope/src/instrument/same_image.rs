@@ -26,7 +26,7 @@ pub(super) struct Shown {
 impl Shown {
     /// Takes the next image, with where the stage stands. Returns whether it is one that has come again too often.
     pub(super) fn comes_again(last: &mut Option<Self>, frame: &Frame, at: StagePose) -> bool {
-        let Some(print) = print(&frame.samples) else {
+        let Some(print) = print(&frame.samples, frame.channels.count()) else {
             return false;
         };
         let again = match *last {
@@ -52,21 +52,21 @@ fn moved(from: &StagePose, to: &StagePose) -> bool {
 }
 
 /// A number that two images share only when they are the same; `None` for one of too few levels, or without noise and structure.
-fn print(samples: &Samples) -> Option<u64> {
+fn print(samples: &Samples, channels: usize) -> Option<u64> {
     match samples {
-        Samples::U8(v) => hash(v.len(), |i| u16::from(v[i])),
-        Samples::U16(v) => hash(v.len(), |i| v[i]),
+        Samples::U8(v) => hash(v.len(), channels, |i| u16::from(v[i])),
+        Samples::U16(v) => hash(v.len(), channels, |i| v[i]),
     }
 }
 
 /// FNV-1a of samples spread over all.
-fn hash(count: usize, at: impl Fn(usize) -> u16) -> Option<u64> {
+fn hash(count: usize, channels: usize, at: impl Fn(usize) -> u16) -> Option<u64> {
     let mut levels = std::collections::BTreeSet::new();
     let mut print = 0xcbf2_9ce4_8422_2325_u64;
     let (mut equal, mut looked_at) = (0usize, 0usize);
-    for i in (0..count.saturating_sub(1)).step_by(count / LOOKED_AT + 1) {
+    for i in (0..count.saturating_sub(channels)).step_by(count / LOOKED_AT + 1) {
         let sample = at(i);
-        equal += usize::from(sample == at(i + 1));
+        equal += usize::from(sample == at(i + channels));
         looked_at += 1;
         if levels.len() < LEVELS {
             levels.insert(sample);
@@ -86,15 +86,15 @@ mod tests {
         let ramp = |change: u8| {
             let mut v: Vec<u8> = (0..200).collect();
             v[150] = v[150].wrapping_add(change);
-            print(&Samples::U8(v))
+            print(&Samples::U8(v), 1)
         };
         assert!(ramp(0).is_some() && ramp(0) == ramp(0));
         assert_ne!(ramp(0), ramp(1));
-        assert_eq!(print(&Samples::U16(vec![4095; 1000])), None);
-        assert_eq!(print(&Samples::U8(Vec::new())), None);
+        assert_eq!(print(&Samples::U16(vec![4095; 1000]), 1), None);
+        assert_eq!(print(&Samples::U8(Vec::new()), 1), None);
         // Without noise, and blurred: hardly any step from one sample to the next.
         let smooth = (0..2000u16).map(|i| (i / 10) as u8).collect();
-        assert_eq!(print(&Samples::U8(smooth)), None);
+        assert_eq!(print(&Samples::U8(smooth), 1), None);
     }
 
     #[test]

@@ -23,7 +23,11 @@ impl Chain {
         let turns = scope.gate().info().axis(Axis::Rz).is_some();
         let found = self.taken.iter().filter(|t| t.found).count();
         let fit = self.whole_fit(scope).filter(|_| found >= NEEDED);
-        let fit = fit.ok_or_else(|| self.too_few(found))?;
+        let fit = fit.ok_or_else(|| match found >= NEEDED {
+            // Enough was found, and no calibration explains it.
+            true => self.astray(scope, None),
+            false => self.too_few(found),
+        })?;
         let covariance = fit.optics_covariance(0);
         let optics = &fit.instrument.optics[0];
         let camera = scope.camera().info();
