@@ -346,7 +346,13 @@ fn every_way_to_fail_is_shown_with_the_views_and_their_matches() {
         |e| matches!(e, ServoError::CalibrationViews { .. }),
         |e| matches!(e, ServoError::AxisStands { .. }),
         |e| matches!(e, ServoError::AxesAlike { .. }),
-        |e| matches!(e, ServoError::AxesContradict { .. }),
+        // Which of the two it is takes two views that turned.
+        |e| {
+            matches!(
+                e,
+                ServoError::AxesContradict { .. } | ServoError::ViewAstray { .. }
+            )
+        },
         |e| matches!(e, ServoError::CalibrationImplausible { .. }),
         |e| matches!(e, ServoError::WentDark { .. }),
     ];
