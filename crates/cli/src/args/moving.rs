@@ -34,7 +34,7 @@ pub(crate) struct MovingArgs {
     #[arg(long, value_name = "N", default_value_t = 64)]
     max_iterations: usize,
     /// Arrive only within this distance for sure; what is farther off, and as near as the stage gets, is refused with what the stage can do. A stage
-    /// that does not come within 0.8 pixels in some moves may stay as far off as this. [arrival] in the description says the same for every run.
+    /// that does not come within 0.8 pixels in some moves may stay as far off as this. `[arrival]` in the description says the same for every run.
     #[arg(long, value_name = "UM", allow_negative_numbers = true)]
     within_um: Option<f64>,
     /// The same of the angle. What a stage cannot turn may be left up to this; without it, while the middle half of the target is in view.
