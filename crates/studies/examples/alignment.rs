@@ -12,11 +12,11 @@ use scopeservo_registration::tracking::Tracker;
 use scopeservo_registration::{Options, Prior, RotationPrior, ScalePrior, register};
 use scopeservo_slide::Slide;
 use scopeservo_studies::warp::Source;
+use scopeservo_studies::worker::{repeat, text};
 use serde_json::{Value, json};
 use std::error::Error;
 use std::fs;
 use std::path::Path;
-use std::time::Instant;
 
 type Failure = Box<dyn Error + Send + Sync>;
 type Answer = Result<Value, Failure>;
@@ -154,28 +154,6 @@ fn by_features(request: &Value, view: &GrayImage, target: &GrayImage) -> Answer 
         ))
     });
     Ok(json!({ "ms": ms, "answer": found?.found().map(|e| e.target_from_view) }))
-}
-
-/// Milliseconds of each repetition, and what the last one gave.
-fn repeat<T>(request: &Value, mut work: impl FnMut() -> T) -> (Vec<f64>, T) {
-    let mut once = || {
-        let start = Instant::now();
-        let value = std::hint::black_box(work());
-        (start.elapsed().as_secs_f64() * 1e3, value)
-    };
-    let (first, mut value) = once();
-    let mut ms = vec![first];
-    for _ in 1..request["repetitions"].as_u64().unwrap_or(1) {
-        let (next, new) = once();
-        ms.push(next);
-        value = new;
-    }
-    (ms, value)
-}
-
-fn text<'a>(request: &'a Value, key: &str) -> Result<&'a str, Failure> {
-    let text = request[key].as_str();
-    text.ok_or_else(|| format!("the request has no {key}").into())
 }
 
 /// Binary PGM with 8 bits, without comments: what [`write_pgm`] writes.

@@ -12,14 +12,13 @@ use scopeservo_registration::{Options as RegisterOptions, Prior, register};
 use scopeservo_sift::{Features, GrayImage, Keypoint, MatchOptions, Options, Sift, match_features};
 use scopeservo_slide::Slide;
 use scopeservo_studies::warp::Source;
+use scopeservo_studies::worker::{repeat, text};
 use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::error::Error;
 use std::fs;
-use std::hint::black_box;
 use std::path::Path;
-use std::time::Instant;
 
 type Answer = Result<Value, Box<dyn Error>>;
 
@@ -243,29 +242,6 @@ impl Worker {
             "answer": target_from_source.after(&source_from_view),
         }))
     }
-}
-
-/// Milliseconds of each repetition, and what the last one gave.
-fn repeat<T>(request: &Value, mut work: impl FnMut() -> T) -> (Vec<f64>, T) {
-    let mut once = || {
-        let start = Instant::now();
-        let value = black_box(work());
-        (start.elapsed().as_secs_f64() * 1e3, value)
-    };
-    let (first, mut value) = once();
-    let mut ms = vec![first];
-    for _ in 1..request["repetitions"].as_u64().unwrap_or(1) {
-        let (next, new) = once();
-        ms.push(next);
-        value = new;
-    }
-    (ms, value)
-}
-
-fn text<'a>(request: &'a Value, key: &str) -> Result<&'a str, Box<dyn Error>> {
-    request[key]
-        .as_str()
-        .ok_or_else(|| format!("the request has no {key}").into())
 }
 
 fn number(request: &Value, key: &str) -> Result<usize, Box<dyn Error>> {

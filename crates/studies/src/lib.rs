@@ -10,6 +10,7 @@ pub mod crops;
 pub mod page;
 pub mod rounds;
 pub mod warp;
+pub mod worker;
 
 use std::path::PathBuf;
 

@@ -216,6 +216,7 @@ fn scatter_um(frames: &[Measured]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::servo::criteria::tests::criteria;
 
     fn at(x_um: f64, y_um: f64, angle_deg: f64, time_s: f64) -> Measured {
         Measured {
@@ -227,18 +228,6 @@ mod tests {
             sigma_deg: 0.001,
             inliers: 50,
             time_s,
-        }
-    }
-
-    fn criteria(options: &ServoOptions) -> Criteria<'_> {
-        Criteria {
-            options,
-            is_arrival: true,
-            turns: true,
-            view_um_per_px: 0.5,
-            target_um_per_px: 0.5,
-            scatter: None,
-            nearly: 0,
         }
     }
 

@@ -188,10 +188,10 @@ impl Criteria<'_> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    fn criteria(options: &ServoOptions) -> Criteria<'_> {
+    pub(crate) fn criteria(options: &ServoOptions) -> Criteria<'_> {
         Criteria {
             options,
             is_arrival: true,
