@@ -2,8 +2,7 @@
 
 use crate::matches::drawing;
 use crate::model::{Report, view_name};
-use crate::plots::equal_panel;
-use crate::svg::{Attr, Canvas, Key, Mark, Panel, Scale, WIDTH, nice_step};
+use crate::svg::{Attr, Canvas, Key, Mark, Panel, Scale, WIDTH, equal_panel, nice_step};
 use crate::text::{count, escape, fixed, short, um};
 use crate::timeline::{Calibrating, Ended, Look};
 use scopeservo_servo::joint::Role;

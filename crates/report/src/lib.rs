@@ -25,6 +25,7 @@ mod model;
 mod page;
 mod picture;
 mod plots;
+mod promises;
 mod provenance;
 mod recorder;
 mod summary;

@@ -1,7 +1,8 @@
 //! Error, velocity, convergence and path at one magnification.
 
 use crate::model::{Report, view_name};
-use crate::svg::{Canvas, Key, Mark, Panel, Scale, WIDTH};
+use crate::promises;
+use crate::svg::{Canvas, Key, Mark, Panel, Scale, WIDTH, equal_panel};
 use crate::text::{deg, fixed, um};
 use crate::timeline::Magnification;
 
@@ -88,14 +89,18 @@ pub(crate) fn section(r: &Report<'_>, m: &Magnification<'_>) -> String {
         ),
         (convergence(r, m, lambda), convergence_caption(r, lambda)),
     ];
-    if let Some(path) = path(r, m) {
-        figures.push(path);
-    }
+    figures.extend(path(r, m));
     let body: String = figures
         .into_iter()
         .map(|(svg, caption)| format!("<figure>{svg}<figcaption>{caption}</figcaption></figure>\n"))
         .collect();
-    format!("<div class=\"plots\">\n{body}</div>\n")
+    let moves = promises::figure(m).map(|(svg, caption)| {
+        format!("<figure class=\"beside\">{svg}<figcaption>{caption}</figcaption></figure>\n")
+    });
+    format!(
+        "<div class=\"plots\">\n{body}</div>\n{}",
+        moves.unwrap_or_default()
+    )
 }
 
 /// The share of the error that an iteration takes away: the median of |v| / |e|.
@@ -271,19 +276,6 @@ fn convergence_caption(r: &Report<'_>, lambda: Option<f64>) -> String {
         out.push_str(" Shaded: arrived.");
     }
     out
-}
-
-/// A panel in which one micrometre is as long in both directions.
-pub(crate) fn equal_panel(x: Scale, y: Scale, width: f64, height: f64) -> Panel {
-    let per_unit = ((x.max - x.min) / width).max((y.max - y.min) / height);
-    let around = |s: Scale, units: f64| {
-        let middle = (s.min + s.max) / 2.0;
-        Scale::exact(
-            middle - units * per_unit / 2.0,
-            middle + units * per_unit / 2.0,
-        )
-    };
-    Panel::wide(46.0, height, around(x, width), around(y, height))
 }
 
 /// The way of the view's centre over the specimen.

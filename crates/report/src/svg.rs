@@ -375,6 +375,19 @@ impl Panel {
     }
 }
 
+/// A panel in which a unit is as long in both directions.
+pub(crate) fn equal_panel(x: Scale, y: Scale, width: f64, height: f64) -> Panel {
+    let per_unit = ((x.max - x.min) / width).max((y.max - y.min) / height);
+    let around = |s: Scale, units: f64| {
+        let middle = (s.min + s.max) / 2.0;
+        Scale::exact(
+            middle - units * per_unit / 2.0,
+            middle + units * per_unit / 2.0,
+        )
+    };
+    Panel::wide(46.0, height, around(x, width), around(y, height))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -4,7 +4,7 @@ use scopeservo_geometry::{Affine2, Vec2};
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{
     Calibration, ChainPlace, ChainView, Event, FocusResult, FrameRole, Outcome, Phase, PixelsSeen,
-    PoseError, Stamped, Velocity,
+    PoseError, Promised, Stamped, Velocity,
 };
 
 /// One frame of the servo in which the target was seen.
@@ -20,6 +20,8 @@ pub(crate) struct Iteration<'a> {
     pub(crate) pairs: &'a [[f32; 4]],
     pub(crate) converged: bool,
     pub(crate) pixels: Option<&'a PixelsSeen>,
+    /// Where the move before was to lead.
+    pub(crate) promised: Option<&'a Promised>,
 }
 
 /// One frame in which it was not.
@@ -184,6 +186,7 @@ impl<'a> Timeline<'a> {
                 pairs,
                 converged,
                 pixels,
+                promised,
                 ..
             } => self.magnification(objective).iterations.push(Iteration {
                 iteration: *iteration,
@@ -197,6 +200,7 @@ impl<'a> Timeline<'a> {
                 pairs,
                 converged: *converged,
                 pixels: pixels.as_deref(),
+                promised: promised.as_deref(),
             }),
             Event::Lost {
                 objective,

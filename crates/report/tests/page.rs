@@ -270,3 +270,37 @@ fn blocks_of_pixels_are_drawn_on_the_view_that_they_testify_of() {
     );
     assert!(page.contains("1 of 2 blocks of pixels lie where they should"));
 }
+
+#[test]
+fn a_move_is_drawn_where_it_ended_from_where_it_was_to_end() {
+    use scopeservo_servo::{Event, PoseError, Promised, Sink as _};
+    let with = |beside_um: f64| {
+        let mut recorder = arrived().recorder.clone();
+        let is = |e: &scopeservo_servo::Stamped| matches!(e.event, Event::Iteration { .. });
+        let mut last = recorder.events().iter().rfind(|e| is(e)).unwrap().clone();
+        if let Event::Iteration {
+            error, promised, ..
+        } = &mut last.event
+        {
+            let [x, y] = error.t_m;
+            *promised = Some(Box::new(Promised {
+                error: PoseError {
+                    t_m: [x - 1e-6 * beside_um, y],
+                    theta_rad: error.theta_rad,
+                },
+                sigma_m: 1.5e-6,
+                sigma_rad: 1e-5,
+            }));
+        }
+        recorder.event(last);
+        let page = html(&recorder, None, &synthetic::context());
+        check(&page);
+        page
+    };
+    let kept = with(3.0);
+    assert!(kept.contains("1 of 1 moves ended within 4 standard deviations"));
+    assert!(kept.contains("ended 3.00 µm and"), "told in words");
+    let broken = with(30.0);
+    assert!(broken.contains("0 of 1 moves ended within 4 standard deviations"));
+    assert!(!page().contains("moves ended within"), "nothing was told");
+}

@@ -2,7 +2,7 @@
 
 use crate::calibrate::told::{ChainPlace, ChainView};
 use crate::pixels_seen::PixelsSeen;
-use crate::{Calibration, FocusResult, Identity, Outcome, PoseError, Remark, Velocity};
+use crate::{Calibration, FocusResult, Identity, Outcome, PoseError, Promised, Remark, Velocity};
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Frame, Instrument, ObjectiveId, StagePose};
@@ -184,6 +184,9 @@ pub enum Event {
         /// What the pixels say, with the target's own objective. Logs of earlier versions do not tell.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pixels: Option<Box<PixelsSeen>>,
+        /// Where the move before was to lead; `None` where none was made. Logs of earlier versions do not tell.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        promised: Option<Box<Promised>>,
     },
     /// A view was not found in the target.
     Lost {

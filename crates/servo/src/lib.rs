@@ -84,6 +84,7 @@ pub use servo::end::{LimitedBy, ServoEnd, ServoResult};
 pub use servo::hand_over::HandOver;
 pub use servo::missing::{Beyond, Missing};
 pub use servo::options::{Law, ServoOptions};
+pub use servo::promise::Promised;
 pub use servo::refit::Remark;
 pub use servo::run::ServoRun;
 pub use servo::task::ServoTask;

@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{PLACE_UM, bench, one_objective, run_through_json};
-use scopeservo_scope::{Axis, Kinematics};
-use scopeservo_servo::{Reason, Verdict};
+use common::{Listener, PLACE_UM, bench, one_objective, options, run_through_json};
+use scopeservo_scope::{Axis, CancelToken, Instrument, Kinematics};
+use scopeservo_servo::{Event, Reason, Reposition, RepositionOptions, Verdict, run};
 use scopeservo_twin::{AutoExposureConfig, Config, StageConfig, StageFault};
 
 /// Saves a view, puts the slide back 45 um away and turned, and comes back.
@@ -138,4 +138,45 @@ fn losing_steps_on_the_way_is_made_good() {
     let outcome = bench.reposition(target).unwrap();
     assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
     assert!(bench.error_from(&truth).0 <= 1.0);
+}
+
+#[test]
+fn a_focus_that_is_known_is_used_again_where_it_is_asked_and_moves_tell_what_they_promise() {
+    let bench = bench(one_objective());
+    let (target, truth) = bench.save();
+    let go = |scope: &Instrument| {
+        bench.twin.remount(PLACE_UM, [38.0, -24.0], 3.0, false);
+        let options = RepositionOptions {
+            reuse_focus: true,
+            ..options()
+        };
+        let (mut sweeps, mut moves) = (0, Vec::new());
+        let mut listener = Listener(|event: &Event| match event {
+            Event::FocusSample { .. } => sweeps += 1,
+            Event::Iteration {
+                error,
+                promised: Some(p),
+                ..
+            } => moves.push((*error, p.clone())),
+            _ => {}
+        });
+        let mut reposition = Reposition::new(target.clone(), options);
+        let outcome = run(&mut reposition, scope, &mut listener).unwrap();
+        assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
+        assert!(bench.error_from(&truth).0 <= 1.0);
+        (sweeps, moves)
+    };
+    let (sweeps, moves) = go(&bench.scope);
+    assert_eq!(sweeps, 0, "it was focused in this session");
+    assert!(!moves.is_empty());
+    for (seen, promised) in moves {
+        let off = [0, 1].map(|k| seen.t_m[k] - promised.error.t_m[k]);
+        let within = 4.0 * promised.sigma_m + 1e-6;
+        assert!(f64::hypot(off[0], off[1]) <= within, "{off:?} {promised:?}");
+        assert!(promised.sigma_m > 0.0 && promised.sigma_rad > 0.0);
+    }
+    // Another session knows of none.
+    let twin = &bench.twin;
+    let opened = Instrument::new(twin.devices(), twin.rules(), CancelToken::new()).unwrap();
+    assert!(go(&opened).0 > 5);
 }

@@ -223,6 +223,22 @@ impl Plot {
         );
     }
 
+    /// A line through points.
+    pub fn line(&mut self, points: impl IntoIterator<Item = (f64, f64)>, good: bool) {
+        let class = if good { "good" } else { "bad" };
+        let points: Vec<String> = points
+            .into_iter()
+            .map(|(x, y)| format!("{:.1} {:.1}", self.px(x), self.py(y)))
+            .collect();
+        if points.len() > 1 {
+            let _ = write!(
+                self.body,
+                "<path class=\"bar {class}\" fill=none style=\"fill:none\" d=\"M{}\"/>",
+                points.join("L")
+            );
+        }
+    }
+
     /// A bar upright from one y to another.
     pub fn upright(&mut self, x: f64, [from, to]: [f64; 2], good: bool) {
         let class = if good { "good" } else { "bad" };

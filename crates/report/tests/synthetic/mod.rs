@@ -335,6 +335,7 @@ impl Teller {
                 pairs,
                 converged,
                 pixels: None,
+                promised: None,
             };
             self.tell(0.28, event);
             iteration += 1;

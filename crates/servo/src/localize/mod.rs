@@ -3,7 +3,7 @@
 mod correlation;
 mod features;
 
-use crate::{FixedPlaces, ServoError, Target};
+use crate::{FixedPlaces, ServoError, Target, VisionOptions};
 use scopeservo_features::{Features, GrayImage};
 use scopeservo_registration::{Correspondences, Estimate, NotFound, Prior, Registration, Rival};
 use std::borrow::Cow;
@@ -34,6 +34,17 @@ pub struct Measurement {
     pub features: Option<Features>,
     /// Other transforms that the localizer saw on its way to say as much.
     pub rivals: Vec<Rival>,
+}
+
+/// Asks the localizer that the options say.
+pub(crate) fn with_localizer<T>(
+    vision: &VisionOptions,
+    ask: impl FnOnce(&dyn Localizer) -> T,
+) -> T {
+    match vision.correlation {
+        true => ask(&CorrelationLocalizer { vision }),
+        false => ask(&FeatureLocalizer { vision }),
+    }
 }
 
 /// Finds a target in views.

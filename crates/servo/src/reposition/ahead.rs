@@ -5,17 +5,21 @@ use crate::{Calibration, HandOver, SwitchingReport};
 use scopeservo_scope::{Instrument, ObjectiveId};
 use std::collections::BTreeMap;
 
-/// Of the objectives of a run, in order, those after the one `here`: the highest first.
+/// Of the objectives of a run, in order, those after the one `here`: the highest first. `trusted`: calibrations whose rotation centres tell where
+/// each looks beside the others.
 pub(super) fn hand_overs(
     scope: &Instrument,
     run: &[ObjectiveId],
-    (calibrations, switchings): (&BTreeMap<ObjectiveId, Calibration>, &[SwitchingReport]),
+    (trusted, switchings): (
+        Option<&BTreeMap<ObjectiveId, Calibration>>,
+        &[SwitchingReport],
+    ),
     (here, target): (&Calibration, &Calibration),
 ) -> Vec<HandOver> {
     let below = run.iter().position(|id| *id == here.objective);
     let above = below.map_or(&run[..0], |at| &run[at + 1..]);
     let over = |id: &ObjectiveId| {
-        let offset_um = offset_um([&here.objective, id], switchings, calibrations);
+        let offset_um = offset_um([&here.objective, id], switchings, trusted);
         let next = scope.objective(id).ok()?;
         Some(HandOver::between(here, next, offset_um, target))
     };

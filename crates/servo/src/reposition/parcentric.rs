@@ -10,12 +10,12 @@ const SIGMAS: f64 = 2.0;
 /// One below this share of the field's shorter side costs the servo nothing.
 const SHARE: f64 = 0.1;
 
-/// Where the centre of `to` lies beside that of `from`, um in stage axes: by switching between them or from a third one to both, else by
-/// their rotation centres.
+/// Where the centre of `to` lies beside that of `from`, um in stage axes: by switching between them or from a third one to both, else by the
+/// rotation centres of calibrations that are trusted with it.
 pub(super) fn offset_um(
     [from, to]: [&ObjectiveId; 2],
     switchings: &[SwitchingReport],
-    calibrations: &BTreeMap<ObjectiveId, Calibration>,
+    trusted: Option<&BTreeMap<ObjectiveId, Calibration>>,
 ) -> Option<[Known; 2]> {
     let seen = |a: &ObjectiveId, b: &ObjectiveId| {
         let of = |report: &&SwitchingReport| report.from == *a && report.to == *b;
@@ -33,7 +33,7 @@ pub(super) fn offset_um(
     };
     let by_centres = || {
         let centre = |id: &ObjectiveId| {
-            let calibration = calibrations.get(id)?;
+            let calibration = trusted?.get(id)?;
             let (centre, covariance) = (calibration.rotation_centre_m?, calibration.covariance?);
             Some([0, 1].map(|k| Known {
                 value: 1e6 * centre[k],
@@ -109,7 +109,7 @@ mod tests {
         let all = [report("10x", "20x", 5.0), report("10x", "40x", -8.0)];
         let offset = |from: &str, to: &str| {
             let [from, to] = [from, to].map(|id| ObjectiveId(id.into()));
-            offset_um([&from, &to], &all, &BTreeMap::new()).map(|[x, _]| x)
+            offset_um([&from, &to], &all, None).map(|[x, _]| x)
         };
         assert_eq!(offset("10x", "40x"), Some(known(-8.0, 0.3)));
         assert_eq!(offset("40x", "10x"), Some(known(8.0, 0.3)));

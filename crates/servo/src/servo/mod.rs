@@ -67,7 +67,9 @@ impl Servo {
         // Control: Eq. (22).
         let passes = test.passes(&sight.located.pose.error, &sight.located.estimate);
         let velocity = task.velocity(&sight.located.pose, test.turns);
-        let event = sight.event(task, self.convergence.iteration, velocity, passes);
+        let promised = self.watch.promised(&task.mover(scope));
+        let answer = (velocity, passes);
+        let event = sight.event(task, self.convergence.iteration, promised, answer);
         tell(scope, sink, event);
         // Did the last move do what it was to do?
         if let Some(progress) = self.contradicted(task, scope, sink, &sight) {

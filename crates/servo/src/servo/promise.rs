@@ -40,6 +40,17 @@ pub(crate) struct Promise {
     sigma_rad: f64,
 }
 
+/// What the next frame is expected to show after a move.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Promised {
+    /// The error after it.
+    pub error: PoseError,
+    /// Its standard deviation, m for each coordinate.
+    pub sigma_m: f64,
+    /// And that of its angle, rad.
+    pub sigma_rad: f64,
+}
+
 /// How a promise was kept.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Kept {
@@ -85,6 +96,15 @@ impl Promise {
             sigma_m: (arrival_sq + known_m * known_m + a * a + b * b + change_m * change_m).sqrt(),
             sigma_rad: f64::hypot(std::f64::consts::SQRT_2 * turn, angle),
             ..sure
+        }
+    }
+
+    /// What it is, for those who look on.
+    pub(crate) fn told(&self, mover: &Mover<'_>) -> Promised {
+        Promised {
+            error: self.error_at(&self.goal, mover),
+            sigma_m: self.sigma_m,
+            sigma_rad: self.sigma_rad,
         }
     }
 

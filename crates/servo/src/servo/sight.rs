@@ -8,8 +8,8 @@ use crate::pixels_seen::PixelsSeen;
 use crate::proof::{FixedPlaces, Station};
 use crate::vision::{centre_px, gray};
 use crate::{
-    Event, Expected, Measurement, PlanarPose, PoseEstimate, ServoError, ServoTask, Velocity,
-    motion_of, pose_after, pose_estimate,
+    Event, Expected, Measurement, PlanarPose, PoseEstimate, Promised, ServoError, ServoTask,
+    Velocity, motion_of, pose_after, pose_estimate,
 };
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::Vec2;
@@ -187,8 +187,8 @@ impl<'a> Sight<'a> {
         &self,
         task: &ServoTask<'_>,
         iteration: usize,
-        velocity: Velocity,
-        converged: bool,
+        promised: Option<Promised>,
+        (velocity, converged): (Velocity, bool),
     ) -> Event {
         let registration = &self.measured.registration;
         Event::Iteration {
@@ -205,6 +205,7 @@ impl<'a> Sight<'a> {
             pairs: registration.pairs.clone(),
             converged,
             pixels: self.pixels.clone().map(Box::new),
+            promised: promised.map(Box::new),
         }
     }
 }

@@ -4,9 +4,10 @@ use super::criteria::Criteria;
 use super::hand_over::HandOver;
 use super::promise::Mover;
 use crate::hand_eye::pose_sigma;
+use crate::localize::with_localizer;
 use crate::{
-    Calibration, ControlLaw, CorrelationLocalizer, Expected, FeatureLocalizer, Law, Localizer,
-    Measurement, PoseEstimate, ServoError, ServoOptions, Target, Velocity, VisionOptions,
+    Calibration, ControlLaw, Expected, Law, Localizer, Measurement, PoseEstimate, ServoError,
+    ServoOptions, Target, Velocity, VisionOptions,
 };
 use scopeservo_features::GrayImage;
 use scopeservo_registration::{NotFound, Rival};
@@ -62,12 +63,7 @@ impl<'a> ServoTask<'a> {
     fn with_localizer<T>(&self, ask: impl FnOnce(&dyn Localizer) -> T) -> T {
         match self.localizer {
             Some(localizer) => ask(localizer),
-            None if self.vision.correlation => ask(&CorrelationLocalizer {
-                vision: self.vision,
-            }),
-            None => ask(&FeatureLocalizer {
-                vision: self.vision,
-            }),
+            None => with_localizer(self.vision, ask),
         }
     }
 

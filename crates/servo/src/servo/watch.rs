@@ -1,6 +1,6 @@
 //! The camera as an encoder: how the promises of moves were kept, and what follows of it.
 
-use super::promise::{DRIFTED_CENTRE_M, Kept, Mover, Promise};
+use super::promise::{DRIFTED_CENTRE_M, Kept, Mover, Promise, Promised};
 use super::refit::{Refit, Remark};
 use crate::{Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity};
 use scopeservo_scope::ObjectiveId;
@@ -77,6 +77,11 @@ impl Watch {
             refit: Refit::doubting(self.is_wary()),
             ..Self::default()
         }
+    }
+
+    /// Where the last move was to lead, unless a frame has shown it already.
+    pub(crate) fn promised(&self, mover: &Mover<'_>) -> Option<Promised> {
+        self.promise.as_ref().map(|promise| promise.told(mover))
     }
 
     /// Takes the next frame.

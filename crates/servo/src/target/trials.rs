@@ -3,7 +3,8 @@
 
 use super::Target;
 use super::quality::{LIKELY, TargetQuality, Tried, Weakness};
-use crate::{ServoError, VisionOptions};
+use crate::localize::with_localizer;
+use crate::{Expected, FixedPlaces, ServoError, VisionOptions};
 use scopeservo_features::{FeatureError, Features, GrayImage, Keypoint};
 use scopeservo_geometry::{Affine2, Mat2, SplitMix64, Vec2};
 use scopeservo_registration::likeness::Plane;
@@ -59,8 +60,7 @@ pub(super) fn tried(
         };
         for _ in 0..views {
             let made = Made::draw(&mut rng, image, ratio, is_own);
-            let view = vision.of_view(&made.view(image, &mut rng)?)?;
-            match made.register(&view, target, vision) {
+            match made.located(&made.view(image, &mut rng)?, target, vision)? {
                 Found::Right(sigma) => {
                     seen.found += 1;
                     sigmas.extend(is_own.then_some(sigma));
@@ -235,22 +235,31 @@ impl Made {
         Ok(view.map_err(FeatureError::from)?)
     }
 
-    fn register(&self, view: &Features, target: &Target, vision: &VisionOptions) -> Found {
-        let answer = vision.register(view, &target.features, &self.prior);
-        let (Some(found), Some(view_from_target)) =
-            (answer.found(), self.target_from_view.inverse())
-        else {
-            return Found::Not;
+    /// By the localizer that a run asks.
+    fn located(
+        &self,
+        view: &GrayImage,
+        target: &Target,
+        vision: &VisionOptions,
+    ) -> Result<Found, ServoError> {
+        let expected = Expected {
+            prior: self.prior,
+            fixed: &FixedPlaces::default(),
         };
+        let seen = with_localizer(vision, |l| l.locate(target, view, &expected))?;
+        let (Ok(measured), Some(view_from_target)) = (seen, self.target_from_view.inverse()) else {
+            return Ok(Found::Not);
+        };
+        let found = measured.estimate;
         let [w, h] = [target.features.width, target.features.height].map(|n| n as f64 - 1.0);
         let off = [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(|corner| {
             let seen = found.target_from_view.apply(view_from_target.apply(corner));
             f64::hypot(seen[0] - corner[0], seen[1] - corner[1])
         });
-        match off.iter().all(|off| *off <= RIGHT_PX) {
+        Ok(match off.iter().all(|off| *off <= RIGHT_PX) {
             true => Found::Right([found.sigma_px, found.sigma_angle_rad]),
             false => Found::Wrong,
-        }
+        })
     }
 }
 

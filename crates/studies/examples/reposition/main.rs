@@ -2,7 +2,8 @@
 //!
 //! `cargo run --release -p scopeservo-studies --example reposition -- --count 200`
 //!
-//! `... -- faults --count 20` breaks one thing in each run; `... -- disturbance --count 20` disturbs the view.
+//! `... -- faults --count 20` breaks one thing in each run; `... -- disturbance --count 20` disturbs the view; `... -- montecarlo --count 5` repeats
+//! the paper's repositioning on three specimens, by its law and by direct control from the same starts.
 //!
 //! Instruments are calibrated once, focus is found anew, and every run is kept as a line of its own: a study that was broken off goes on.
 //! `SCOPESERVO_SPECIMENS` gives real slides; without it the tissue is procedural. Exit code 1 when an answer was wrong.
@@ -11,12 +12,13 @@
 
 mod disturbance;
 mod faults;
+mod montecarlo;
 mod scene;
 mod table;
 mod whole;
 
 use clap::{Parser, Subcommand};
-use scopeservo_servo::Law;
+use scopeservo_servo::{Law, RepositionOptions};
 use scopeservo_studies::rounds::{Outcome, rounds, threads};
 use std::fs;
 use std::path::PathBuf;
@@ -61,6 +63,8 @@ enum Study {
         #[arg(long, default_value = "")]
         named: String,
     },
+    /// The paper's repeated repositioning: its law and direct control from the same starts, focus and calibration reused.
+    Montecarlo,
 }
 
 fn law(text: &str) -> Result<Law, String> {
@@ -83,14 +87,20 @@ fn main() -> Outcome<()> {
             Study::Disturbance { pairs, named } => {
                 disturbance::study(&many, (*pairs, named), &known)?
             }
+            Study::Montecarlo => montecarlo::study(&many, &known)?,
         };
         if wrong > 0 {
             std::process::exit(1);
         }
         return Ok(());
     }
-    let run =
-        |index: u64, trace: bool| whole::run(&scene::draw(index), index, &known, args.law, trace);
+    let mut options = RepositionOptions::default();
+    options.servo.law = args.law;
+    let run = |index: u64, trace: bool| {
+        let scene = scene::draw(index);
+        let known = scene::of(&known, &scene);
+        whole::run(&scene, index, known, options.clone(), trace)
+    };
     let records = match args.only {
         Some(index) => {
             let record = run(index, true)?;

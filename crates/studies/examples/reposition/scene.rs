@@ -54,6 +54,8 @@ pub(crate) struct Scene {
     pub(crate) begins_with: &'static str,
     /// The target's.
     pub(crate) saved_with: &'static str,
+    /// Which others are focused before the target is saved.
+    pub(crate) focused_before: &'static [&'static str],
 }
 
 pub(crate) fn draw(index: u64) -> Scene {
@@ -89,6 +91,7 @@ pub(crate) fn draw(index: u64) -> Scene {
             "10x"
         },
         saved_with: "40x",
+        focused_before: &[],
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::whole::Record;
 
 /// The value that this share of all does not exceed.
-fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
+pub(crate) fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
     let mut all: Vec<f64> = values.collect();
     all.sort_by(f64::total_cmp);
     let at = (share * all.len() as f64) as usize;

@@ -1,13 +1,13 @@
 //! One run, and what it came to. The truth only judges.
 
-use crate::scene::{Bench, Known, Scene, of};
+use crate::scene::{Bench, Scene};
 use scopeservo_scope::{Frame, ObjectiveId};
 use scopeservo_servo::{
-    Bring, Event, FocusOptions, FrameRole, Law, Phase, Reposition, RepositionOptions, SaveOptions,
-    SaveTarget, Sink, Stamped, Target, Verdict, VisionOptions, run as steps,
+    Bring, Calibration, Event, FocusOptions, FrameRole, Phase, Reposition, RepositionOptions,
+    SaveOptions, SaveTarget, Sink, Stamped, Target, Verdict, VisionOptions, run as steps,
 };
 use scopeservo_studies::rounds::Outcome;
-use scopeservo_twin::Truth;
+use scopeservo_twin::{Truth, Twin};
 use serde::{Deserialize, Serialize};
 
 /// What one run came to.
@@ -37,6 +37,20 @@ pub(crate) struct Record {
     /// On the instrument's clock: all of it, and without the changes of objective.
     pub(crate) seconds: f64,
     pub(crate) seconds_unchanged: f64,
+    /// What the loop saw, in order.
+    #[serde(default)]
+    pub(crate) path: Vec<Seen>,
+}
+
+/// One frame of the loop.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Seen {
+    /// Since the run began.
+    pub(crate) seconds: f64,
+    pub(crate) objective: String,
+    /// Where the view really was from the target.
+    pub(crate) true_um: f64,
+    pub(crate) true_deg: f64,
 }
 
 impl Record {
@@ -49,8 +63,11 @@ impl Record {
 
 /// Counts, and times the changes.
 #[derive(Default)]
-struct Watch {
+struct Watch<'a> {
     trace: bool,
+    /// What judges, and what to come to.
+    judge: Option<(&'a Twin, Truth)>,
+    path: Vec<Seen>,
     goals: usize,
     last: Option<u64>,
     target: Option<u64>,
@@ -58,7 +75,7 @@ struct Watch {
     changing_s: f64,
 }
 
-impl Sink for Watch {
+impl Sink for Watch<'_> {
     fn event(&mut self, stamped: Stamped) {
         if self.trace
             && !matches!(
@@ -77,7 +94,25 @@ impl Sink for Watch {
                 }
                 self.change_began = (phase == Phase::Switch).then_some(stamped.time_s);
             }
-            Event::Iteration { converged, .. } => self.goals += usize::from(!converged),
+            Event::Iteration {
+                converged,
+                sequence,
+                objective,
+                ..
+            } => {
+                self.goals += usize::from(!converged);
+                if let Some((twin, aim)) = &self.judge
+                    && let Some(truth) = twin.truth(sequence)
+                {
+                    let (true_um, true_deg) = apart(aim, &truth);
+                    self.path.push(Seen {
+                        seconds: stamped.time_s,
+                        objective: objective.0,
+                        true_um,
+                        true_deg,
+                    });
+                }
+            }
             _ => {}
         }
     }
@@ -117,13 +152,16 @@ pub(crate) struct Start {
 /// Saves, and puts the slide back elsewhere. The inner result has the reason why nothing was saved.
 pub(crate) fn begin(scene: &Scene, bench: Bench) -> Outcome<Result<Start, String>> {
     let mut watch = Watch::default();
-    let bring = |id: &str, watch: &mut Watch| {
+    let bring = |id: &str, watch: &mut Watch<'_>| {
         let id = ObjectiveId(id.into());
         let focus = Some(FocusOptions::default());
         let mut bring = Bring::new(id, focus, VisionOptions::default());
         steps(&mut bring, &bench.scope, watch)
     };
     bench.twin.centre_specimen(scene.target_um, 0.0);
+    for id in scene.focused_before {
+        bring(id, &mut watch)?;
+    }
     let saved = bring(scene.saved_with, &mut watch).and_then(|_| {
         let mut save = SaveTarget::new(SaveOptions::default());
         steps(&mut save, &bench.scope, &mut watch)
@@ -150,8 +188,8 @@ pub(crate) fn begin(scene: &Scene, bench: Bench) -> Outcome<Result<Start, String
 pub(crate) fn run(
     scene: &Scene,
     index: u64,
-    known: &[Known],
-    law: Law,
+    known: Vec<(ObjectiveId, Calibration)>,
+    options: RepositionOptions,
     trace: bool,
 ) -> Outcome<Record> {
     let (name, specimen) = scene.specimen()?;
@@ -176,12 +214,11 @@ pub(crate) fn run(
     record.features = target.features.len();
     let mut watch = Watch {
         trace,
+        judge: Some((&bench.twin, aim.clone())),
         ..Watch::default()
     };
-    let mut options = RepositionOptions::default();
-    options.servo.law = law;
     let before = (bench.scope.counters(), bench.scope.clock().now());
-    let mut reposition = Reposition::new(target, options).with_calibrations(of(known, scene));
+    let mut reposition = Reposition::new(target, options).with_calibrations(known);
     let answer = steps(&mut reposition, &bench.scope, &mut watch);
     let after = (bench.scope.counters(), bench.scope.clock().now());
     record.goals = watch.goals;
@@ -189,6 +226,10 @@ pub(crate) fn run(
     record.frames = after.0.frames - before.0.frames;
     record.seconds = after.1.seconds() - before.1.seconds();
     record.seconds_unchanged = record.seconds - watch.changing_s;
+    record.path = std::mem::take(&mut watch.path);
+    for seen in &mut record.path {
+        seen.seconds -= before.1.seconds();
+    }
     let truth = watch.last.and_then(|s| bench.twin.truth(s));
     let truth = truth.ok_or("the twin forgot a frame")?;
     (record.true_um, record.true_deg) = apart(&aim, &truth);

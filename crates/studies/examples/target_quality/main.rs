@@ -38,6 +38,9 @@ struct Args {
     /// Threads; all processors unless told.
     #[arg(long, default_value_t = 0)]
     threads: usize,
+    /// What features do not find is looked for by correlation.
+    #[arg(long)]
+    correlation: bool,
     /// Where calibrations and runs are kept; what lies there is not made again. A new folder for a new build.
     #[arg(long, default_value = "target/target_quality")]
     out: PathBuf,
@@ -75,7 +78,7 @@ fn word(value: &impl Serialize) -> Outcome<String> {
     Ok(value.as_str().unwrap_or_default().into())
 }
 
-fn one(index: u64, known: &[Known]) -> Outcome<Record> {
+fn one(index: u64, known: &[Known], vision: &VisionOptions) -> Outcome<Record> {
     let mut rng = SplitMix64::new(0x7A26_E70F ^ index.wrapping_mul(0x9E37_79B9_7F4A_7C15));
     // 20 to 640 cells a square millimetre: 2 to 50 in a view.
     let per_mm2 = 20.0 * 32f64.powf(rng.uniform());
@@ -96,9 +99,10 @@ fn one(index: u64, known: &[Known]) -> Outcome<Record> {
         noise: 0.0025 * f64::powf(4.0, 0.5 + within(0.5)),
         begins_with: "10x",
         saved_with: "40x",
+        focused_before: &[],
     };
     let bench = Bench::new((scene.kind, scene.seed), scene.noise, Arc::new(smear))?;
-    let (scope, vision) = (&bench.scope, VisionOptions::default());
+    let scope = &bench.scope;
     let bring = |id: &str| {
         let id = ObjectiveId(id.into());
         let focus = Some(FocusOptions::default());
@@ -116,7 +120,10 @@ fn one(index: u64, known: &[Known]) -> Outcome<Record> {
     };
     let focused = bring("40x").map(drop);
     let saved = focused.and_then(|()| {
-        let mut save = SaveTarget::new(SaveOptions::default());
+        let mut save = SaveTarget::new(SaveOptions {
+            vision: vision.clone(),
+            ..SaveOptions::default()
+        });
         run(&mut save, scope, &mut NoSink)
     });
     let target = match saved {
@@ -131,7 +138,7 @@ fn one(index: u64, known: &[Known]) -> Outcome<Record> {
                 return Ok(record);
             };
             record.quality = Some(*quality);
-            Target::save(scope, &vision, &mut NoSink)?
+            Target::save(scope, vision, &mut NoSink)?
         }
     };
     record.features = target.features.len();
@@ -139,8 +146,11 @@ fn one(index: u64, known: &[Known]) -> Outcome<Record> {
     let lies = [0, 1].map(|k| scene.target_um[k] + scene.start_um[k]);
     // Whether 10x finds its focus on a smear is not what is asked.
     bench.twin.centre_specimen(lies, scene.turn_deg);
-    let mut back =
-        Reposition::new(target, RepositionOptions::default()).with_calibrations(of(known, &scene));
+    let options = RepositionOptions {
+        vision: vision.clone(),
+        ..RepositionOptions::default()
+    };
+    let mut back = Reposition::new(target, options).with_calibrations(of(known, &scene));
     let outcome = run(&mut back, scope, &mut NoSink)?;
     let now = bench.twin.truth_now();
     let off = [0, 1].map(|k| now.centre_um[k] - truth.centre_um[k]);
@@ -202,18 +212,28 @@ fn main() -> Outcome<()> {
     let args = Args::parse();
     fs::create_dir_all(&args.out)?;
     let known = scene::calibrations(&args.out)?;
+    let vision = VisionOptions {
+        correlation: args.correlation,
+        ..VisionOptions::default()
+    };
     if let Some(index) = args.only {
-        println!("{}", serde_json::to_string_pretty(&one(index, &known)?)?);
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&one(index, &known, &vision)?)?
+        );
         return Ok(());
     }
     let numbers: Vec<u64> = (0..args.count).collect();
-    let path = args.out.join("runs.jsonl");
+    let path = args.out.join(match args.correlation {
+        true => "runs-correlation.jsonl",
+        false => "runs.jsonl",
+    });
     let records = rounds(
         &path,
         &numbers,
         threads(args.threads)?,
         |r: &Record| r.index,
-        |k| one(k, &known),
+        |k| one(k, &known, &vision),
     )?;
     table(&records);
     if records.iter().any(Record::is_false) {

@@ -28,7 +28,7 @@ impl Reposition {
         };
         match next {
             Some(next) => {
-                self.bring(next);
+                self.bring(scope, next);
                 None
             }
             // Before a view is said not to be there: is it seen with the objective that is said to be in?
@@ -141,7 +141,7 @@ impl Reposition {
             }),
             calibration,
         });
-        self.bring(Leg::Servo(lowest.clone()));
+        self.bring(scope, Leg::Servo(lowest.clone()));
         Ok(true)
     }
 
