@@ -258,6 +258,7 @@ fn page(
             position_px: servo.position_px,
             angle_deg: servo.angle_deg,
         }),
+        ..report::Context::default()
     };
     report::html(recorder, truth.as_ref(), &context)
 }

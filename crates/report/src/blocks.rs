@@ -38,11 +38,12 @@ pub(crate) fn figure(r: &Report<'_>, m: &Magnification<'_>) -> String {
     };
     let null = null(evidence.agree as f64 / evidence.asked.max(1) as f64);
     format!(
-        "<figure class=\"one-view\"><svg class=\"pic\" role=\"img\" viewBox=\"-0.5 -0.5 {} {}\" aria-label=\"{label}\"><title>{label}</title>{}{squares}</svg>\
+        "<figure class=\"one-view\"><svg class=\"pic\" role=\"img\" viewBox=\"-0.5 -0.5 {} {}\" aria-label=\"{label}\"><title>{label}</title>{}{squares}{}</svg>\
          <figcaption><b>{}, by its pixels.</b> {label} ({kind}), {} % of the structure.{null}</figcaption></figure>\n",
         Attr(w),
         Attr(h),
         r.gallery.draw(&name),
+        r.gallery.bar(&name),
         escape(&m.objective.0),
         fixed(100.0 * evidence.share, 0),
     )

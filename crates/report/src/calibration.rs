@@ -21,7 +21,7 @@ struct Quantity {
 }
 
 pub(crate) fn section(r: &Report<'_>) -> String {
-    if r.timeline.calibrations.is_empty() {
+    if r.timeline.calibrations.is_empty() && r.timeline.used().next().is_none() {
         return "<p class=\"none\">The run did not come to a calibration.</p>\n".into();
     }
     let mut out = String::from(
@@ -38,7 +38,51 @@ pub(crate) fn section(r: &Report<'_>) -> String {
             shifts(c)
         );
     }
+    for stored in r.timeline.used() {
+        let of = &stored.calibration;
+        let made = match stored.made.is_empty() {
+            true => String::new(),
+            false => format!(" of {}", escape(&stored.made)),
+        };
+        let _ = writeln!(
+            out,
+            "<article class=\"card\"><h3>{}</h3>\n<p>As it was known{made}, from <code>{}</code>.</p>\n{}</article>",
+            escape(&of.objective.0),
+            escape(&stored.file),
+            numbers(r, of)
+        );
+    }
     out.push_str("</div>\n");
+    out
+}
+
+/// The numbers of one calibration, and what they make of a move.
+fn numbers(r: &Report<'_>, c: &Calibration) -> String {
+    let truths = r.truth.map_or(&[][..], |t| &t.calibrations);
+    let truth = truths.iter().find(|t| t.objective == c.objective.0);
+    let mut out = table(&quantities(c, truth));
+    if c.reading().is_none() {
+        out.push_str(
+            "<p>The camera is mirrored against the stage, or the stage has the other handedness: <i>k</i> and φ do not \
+             describe this map, and the program uses the map itself.</p>\n",
+        );
+    }
+    out.push_str(&arrivals(c));
+    if let Some(b) = c.backlash {
+        let um = |v: f64, sigma: f64| {
+            format!(
+                "{} <small>± {}</small> µm",
+                fixed(1e6 * v, 2),
+                fixed(1e6 * sigma, 2)
+            )
+        };
+        let _ = writeln!(
+            out,
+            "<p>Backlash: <i>x</i> {}, <i>y</i> {}.</p>",
+            um(b.x_m, b.sigma[0]),
+            um(b.y_m, b.sigma[1])
+        );
+    }
     out
 }
 
@@ -90,15 +134,6 @@ pub(crate) fn card(r: &Report<'_>, c: &Calibrating<'_>) -> String {
             );
         }
         Some((calibration, residual_px, views)) => {
-            let truths = r.truth.map_or(&[][..], |t| &t.calibrations);
-            let truth = truths.iter().find(|t| t.objective == c.objective.0);
-            out.push_str(&table(&quantities(calibration, truth)));
-            if calibration.reading().is_none() {
-                out.push_str(
-                    "<p>The camera is mirrored against the stage, or the stage has the other handedness: <i>k</i> and φ do not \
-                     describe this map, and the program uses the map itself.</p>\n",
-                );
-            }
             let residual = if residual_px.is_finite() {
                 format!(
                     ", {} px from where the stage says that it was (root mean square)",
@@ -108,22 +143,7 @@ pub(crate) fn card(r: &Report<'_>, c: &Calibrating<'_>) -> String {
                 String::new()
             };
             let _ = writeln!(out, "<p>From {}{residual}.</p>", count(views, "view"));
-            out.push_str(&arrivals(calibration));
-            if let Some(b) = calibration.backlash {
-                let um = |v: f64, sigma: f64| {
-                    format!(
-                        "{} <small>± {}</small> µm",
-                        fixed(1e6 * v, 2),
-                        fixed(1e6 * sigma, 2)
-                    )
-                };
-                let _ = writeln!(
-                    out,
-                    "<p>Backlash: <i>x</i> {}, <i>y</i> {}.</p>",
-                    um(b.x_m, b.sigma[0]),
-                    um(b.y_m, b.sigma[1])
-                );
-            }
+            out.push_str(&numbers(r, calibration));
         }
     }
     out.push_str("</div>\n");

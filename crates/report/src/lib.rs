@@ -16,6 +16,7 @@
 )]
 
 mod blocks;
+mod bullseye;
 mod calibration;
 mod chain;
 mod changes;
@@ -36,7 +37,7 @@ mod views;
 mod work;
 
 pub use model::{
-    Context, Convergence, Failure, TrueCalibration, TrueIteration, Truth, Work, WorkEnd,
+    Context, Convergence, Failure, Stored, TrueCalibration, TrueIteration, Truth, Work, WorkEnd,
 };
 pub use page::html;
 pub use recorder::Recorder;

@@ -109,7 +109,8 @@ pub(crate) fn drawing(
     );
     let svg = format!(
         "<svg class=\"pic\" role=\"img\" viewBox=\"-0.5 -0.5 {} {}\" aria-label=\"{label}\"><title>{label}</title>{}\
-         <g transform=\"translate({} {}) scale({})\">{}</g><rect class=\"dim\" x=\"-0.5\" y=\"-0.5\" width=\"{}\" height=\"{}\"/>{lines}{dots}</svg>",
+         <g transform=\"translate({} {}) scale({})\">{}</g><rect class=\"dim\" x=\"-0.5\" y=\"-0.5\" width=\"{}\" height=\"{}\"/>{lines}{dots}{}\
+         <g transform=\"translate({} {}) scale({})\">{}</g></svg>",
         Attr(total),
         Attr(h),
         gallery.draw(names[0]),
@@ -118,7 +119,12 @@ pub(crate) fn drawing(
         fixed(scale, 6),
         gallery.draw(names[1]),
         Attr(total),
-        Attr(h)
+        Attr(h),
+        gallery.bar(names[0]),
+        Attr(right + 0.5 * scale - 0.5),
+        Attr(0.5 * scale - 0.5),
+        fixed(scale, 6),
+        gallery.bar(names[1]),
     );
     Some((svg, n))
 }

@@ -154,4 +154,24 @@ pub struct Context {
     pub credit: Option<String>,
     /// The convergence test in force, when its limits are to be drawn.
     pub convergence: Option<Convergence>,
+    /// When the run was made, as people read it.
+    #[serde(default)]
+    pub date: String,
+    /// Name of the saved view.
+    #[serde(default)]
+    pub target: String,
+    /// Calibrations that were known before, the newest of each objective last.
+    #[serde(default)]
+    pub stored: Vec<Stored>,
+}
+
+/// A calibration that was made before the run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Stored {
+    /// The calibration.
+    pub calibration: Calibration,
+    /// Where it is kept.
+    pub file: String,
+    /// When it was made, as people read it; empty where that is not known.
+    pub made: String,
 }

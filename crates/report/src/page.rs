@@ -3,19 +3,39 @@
 use crate::model::{Report, verdict_word, view_name};
 use crate::picture::Gallery;
 use crate::recorder::SHOWN_ITERATIONS;
+use crate::summary::CONTENTS;
 use crate::text::escape;
 use crate::timeline::Timeline;
 use crate::{Context, Recorder, Truth};
 use crate::{calibration, focus, matches, provenance, summary, views};
+use scopeservo_servo::Calibration;
 use std::fmt::Write as _;
 
 const STYLE: &str = include_str!("style.css");
+
+/// On a phone the parts are closed, so that one sees what there is; a link to one opens it, and paper shows all.
+const SCRIPT: &str = "<script>
+(function () {
+  var parts = Array.from(document.querySelectorAll('details.part'));
+  function all(open) { parts.forEach(function (part) { part.open = open; }); }
+  function to() {
+    var heading = document.getElementById(location.hash.slice(1) || 'none');
+    var part = heading ? heading.closest('details') : null;
+    if (part) { part.open = true; heading.scrollIntoView(); }
+  }
+  if (matchMedia('(max-width: 619px)').matches) { all(false); }
+  addEventListener('hashchange', to);
+  addEventListener('beforeprint', function () { all(true); });
+  to();
+})();
+</script>
+";
 
 /// The whole page.
 ///
 /// `truth` is what a simulation knows and a microscope does not; without it the page says how the error was estimated.
 pub fn html(recorder: &Recorder, truth: Option<&Truth>, context: &Context) -> String {
-    let timeline = Timeline::read(recorder.events());
+    let timeline = Timeline::read(recorder.events(), &context.stored);
     let gallery = gallery(recorder, &timeline);
     let report = Report {
         timeline,
@@ -50,6 +70,15 @@ pub(crate) fn whole(
     parts: &[(&str, String)],
     gallery: &Gallery,
 ) -> String {
+    let contents: String = parts
+        .iter()
+        .enumerate()
+        .map(|(i, (heading, _))| format!("<li><a href=\"#h{i}\">{heading}</a></li>\n"))
+        .collect();
+    let contents = format!(
+        "<nav aria-label=\"Contents\">\n<ul class=\"contents\">\n{contents}</ul>\n</nav>\n"
+    );
+    let head = head.replace(CONTENTS, &contents);
     let mut out = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
@@ -61,10 +90,12 @@ pub(crate) fn whole(
     for (i, (heading, body)) in parts.iter().enumerate() {
         let _ = write!(
             out,
-            "<section aria-labelledby=\"h{i}\">\n<h2 id=\"h{i}\">{heading}</h2>\n{body}</section>\n"
+            "<section aria-labelledby=\"h{i}\">\n<details class=\"part\" open=\"open\"><summary><h2 id=\"h{i}\">{heading}</h2></summary>\n\
+             {body}</details>\n</section>\n"
         );
     }
     out.push_str("</main>\n");
+    out.push_str(SCRIPT);
     out.push_str(&gallery.embed());
     out.push_str("</body>\n</html>\n");
     out
@@ -73,8 +104,10 @@ pub(crate) fn whole(
 /// The images that the page shows.
 fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
     let mut gallery = Gallery::default();
+    let target_um = timeline.target_calibration().map(Calibration::um_per_px);
     if let Some(jpeg) = recorder.target().and_then(|t| t.jpeg()) {
         gallery.add("target", jpeg);
+        gallery.scale("target", target_um);
     }
     for magnification in &timeline.magnifications {
         let frames = magnification.frames();
@@ -84,6 +117,8 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
                 && let Some(jpeg) = recorder.view(sequence)
             {
                 gallery.add(view_name(sequence), jpeg);
+                let um = magnification.calibration.map(Calibration::um_per_px);
+                gallery.scale(view_name(sequence), um);
             }
         }
     }
@@ -94,6 +129,7 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
         && let Some(jpeg) = target.blend(view).and_then(|b| b.jpeg())
     {
         gallery.add("blend", jpeg);
+        gallery.scale("blend", target_um);
     }
     if timeline.magnifications.is_empty() {
         let unfocused = timeline.sweeps.last().is_some_and(|s| s.result.is_none());
@@ -104,6 +140,8 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
         };
         if let Some(jpeg) = picture.and_then(|p| p.jpeg()) {
             gallery.add(name, jpeg);
+            let active = timeline.active.and_then(|id| timeline.calibration(id));
+            gallery.scale(name, active.map(Calibration::um_per_px));
         }
     }
     gallery

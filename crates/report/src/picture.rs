@@ -1,7 +1,7 @@
 //! Images: kept as they came or compressed, and embedded once each.
 
-use crate::svg::Attr;
-use crate::text::escape;
+use crate::svg::{Attr, nice_step};
+use crate::text::{escape, fixed};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use image::codecs::jpeg::JpegEncoder;
@@ -86,12 +86,26 @@ impl Picture {
 #[derive(Debug, Default)]
 pub(crate) struct Gallery {
     pictures: BTreeMap<String, Jpeg>,
+    /// Size of a pixel on the specimen, um, of those of which it is known.
+    scales: BTreeMap<String, f64>,
 }
 
 impl Gallery {
     /// Takes an image under a name (letters and digits).
     pub(crate) fn add(&mut self, name: impl Into<String>, picture: Jpeg) {
         self.pictures.insert(name.into(), picture);
+    }
+
+    /// Tells the size of an image's pixel on the specimen, um: it gets a scale bar.
+    pub(crate) fn scale(&mut self, name: impl Into<String>, um_per_px: Option<f64>) {
+        let known = um_per_px.filter(|um| um.is_finite() && *um > 0.0);
+        self.scales.extend(known.map(|um| (name.into(), um)));
+    }
+
+    /// The scale bar of an image, in its pixels; empty where the scale is not known.
+    pub(crate) fn bar(&self, name: &str) -> String {
+        let known = self.size(name).zip(self.scales.get(name));
+        known.map_or(String::new(), |((w, h), um)| scale_bar([w, h], *um))
     }
 
     pub(crate) fn size(&self, name: &str) -> Option<(f64, f64)> {
@@ -108,9 +122,10 @@ impl Gallery {
     pub(crate) fn figure(&self, name: &str, label: &str, overlay: &str) -> Option<String> {
         let (w, h) = self.size(name)?;
         Some(format!(
-            "<svg class=\"pic\" role=\"img\" viewBox=\"-0.5 -0.5 {w} {h}\" aria-label=\"{0}\"><title>{0}</title>{1}{overlay}</svg>",
+            "<svg class=\"pic\" role=\"img\" viewBox=\"-0.5 -0.5 {w} {h}\" aria-label=\"{0}\"><title>{0}</title>{1}{overlay}{2}</svg>",
             escape(label),
-            self.draw(name)
+            self.draw(name),
+            self.bar(name)
         ))
     }
 
@@ -130,6 +145,30 @@ impl Gallery {
         out.push_str("</defs></svg>\n");
         out
     }
+}
+
+/// A bar of a round length, a tenth to a quarter of the image's width, with its length.
+fn scale_bar([w, h]: [f64; 2], um_per_px: f64) -> String {
+    let length_um = nice_step(0.1 * w * um_per_px);
+    let (length, thick, text) = (length_um / um_per_px, 0.010 * w, 0.042 * w);
+    let (x, y) = (0.03 * w, h - 0.03 * w - thick);
+    let words = match length_um >= 1000.0 {
+        true => format!("{} mm", fixed(length_um / 1000.0, 0)),
+        false => format!(
+            "{} µm",
+            fixed(length_um, (-length_um.log10().floor()).max(0.0) as usize)
+        ),
+    };
+    format!(
+        "<g class=\"scale-bar\"><rect x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/><text x=\"{}\" y=\"{}\" font-size=\"{}\">{words}</text></g>",
+        Attr(x),
+        Attr(y),
+        Attr(length),
+        Attr(thick),
+        Attr(x),
+        Attr(y - 0.4 * text),
+        Attr(text)
+    )
 }
 
 /// A cross at the middle of an image, and the outline of the target where one is seen.
@@ -168,4 +207,29 @@ pub(crate) fn aim(width: f64, height: f64, outline: Option<&[[f64; 2]; 4]>) -> S
         );
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scale_bar_is_as_long_as_it_says() {
+        // A tenth to a quarter of 640 pixels, of a round length.
+        for (um_per_px, words, px) in [
+            (0.5, "50 µm", 100.0),
+            (2.2, "200 µm", 90.91),
+            (0.01, "1 µm", 100.0),
+            (0.001, "0.1 µm", 100.0),
+            (40.0, "5 mm", 125.0),
+        ] {
+            let bar = scale_bar([640.0, 480.0], um_per_px);
+            assert!(bar.contains(&format!(">{words}<")), "{bar}");
+            assert!(bar.contains(&format!("width=\"{px}\"")), "{bar}");
+        }
+        let mut gallery = Gallery::default();
+        gallery.scale("view", Some(f64::NAN));
+        gallery.scale("view", Some(0.0));
+        assert_eq!(gallery.bar("view"), "");
+    }
 }

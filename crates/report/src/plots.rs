@@ -78,14 +78,14 @@ pub(crate) fn section(r: &Report<'_>, m: &Magnification<'_>) -> String {
     let mut figures = vec![
         (
             motion(m, "Error", "", |i| (i.error.t_m, i.error.theta_rad)),
-            "Error <b>e</b>: where the view stands from the saved view, in the camera's axes."
+            "How far off the view stands, along the camera's axes (the error <b>e</b>)."
                 .to_string(),
         ),
         (
             motion(m, "Velocity", " / iteration", |i| {
                 (i.velocity.t_m, i.velocity.theta_rad)
             }),
-            "Velocity <b>v</b><sub>c</sub>: what is taken away next.".to_string(),
+            "What the next move takes away of it (the velocity <b>v</b><sub>c</sub>).".to_string(),
         ),
         (convergence(r, m, lambda), convergence_caption(r, lambda)),
     ];
@@ -268,7 +268,7 @@ fn limits(r: &Report<'_>, m: &Magnification<'_>) -> Option<[f64; 2]> {
 }
 
 fn convergence_caption(r: &Report<'_>, lambda: Option<f64>) -> String {
-    let mut out = String::from("Size of the error, logarithmic.");
+    let mut out = String::from("How far off it stands in all, logarithmic.");
     if let Some(l) = lambda {
         out.push_str(&format!(" Dashed: what λ = {} should leave.", fixed(l, 2)));
     }

@@ -1,16 +1,19 @@
 //! The top of the page: did it arrive, how far off, how is that known.
 
+use crate::bullseye;
 use crate::model::{Context, Report, verdict_word, view_name};
 use crate::picture::aim;
-use crate::svg::{Attr, Canvas, Key, Mark, Panel, Scale, nice_step};
-use crate::text::{deg, escape, fixed, seconds, short, um};
+use crate::text::{deg, deg_within, escape, fixed, seconds, um, um_within, units};
 use crate::timeline::outline;
+use scopeservo_scope::{Axis, StagePose};
 use scopeservo_servo::Verdict;
 use std::fmt::Write as _;
 
 /// How answers look: a class of the style and the path of an icon.
 pub(crate) const DONE: (&str, &str) = ("arrived", "M9 20.5l7 7L31 12.5");
 pub(crate) const REFUSED: (&str, &str) = ("refused", "M12 12l16 16M28 12l-16 16");
+/// Where the page puts its list of contents.
+pub(crate) const CONTENTS: &str = "<!--contents-->";
 pub(crate) const UNFINISHED: (&str, &str) = ("unfinished", "M12 20h.2M20 20h.2M28 20h.2");
 
 pub(crate) fn section(r: &Report<'_>, title: &str) -> String {
@@ -41,7 +44,7 @@ pub(crate) fn section(r: &Report<'_>, title: &str) -> String {
     );
     out.push_str(&numbers(r));
     out.push_str(&known(r));
-    out.push_str("</header>\n");
+    out.push_str(&beside(r));
     out.push_str(&comparison(r));
     out
 }
@@ -61,13 +64,13 @@ pub(crate) fn head(
     let about: Vec<_> = [&*context.specimen, &context.instrument, simulated]
         .into_iter()
         .filter(|t| !t.is_empty())
-        .map(escape)
+        .map(|t| escape(&units(t)))
         .collect();
     let mut out = format!(
-        "<header class=\"{class}\">\n<p class=\"over\">{}</p>\n<div class=\"verdict\">\
+        "<header class=\"{class}\">\n<div class=\"answer\">\n<p class=\"over\">{}</p>\n<div class=\"verdict\">\
          <svg class=\"icon\" viewBox=\"0 0 40 40\" aria-hidden=\"true\"><circle cx=\"20\" cy=\"20\" r=\"19\"/><path d=\"{icon}\"/></svg>\
          <h1>{word}</h1></div>\n<p class=\"message\">{}</p>\n",
-        escape(title),
+        escape(&units(title)),
         escape(message),
     );
     if !about.is_empty() {
@@ -76,23 +79,66 @@ pub(crate) fn head(
     out
 }
 
+/// The end of the header: facts of the run, and what the page has to show. Its place is beside the answer where there is room.
+pub(crate) fn beside(r: &Report<'_>) -> String {
+    let facts = facts(r);
+    let facts = match facts.is_empty() {
+        true => facts,
+        false => format!("<dl class=\"facts\">\n{facts}</dl>\n"),
+    };
+    format!("</div>\n<div class=\"aside\">\n{facts}{CONTENTS}</div>\n</header>\n")
+}
+
+fn facts(r: &Report<'_>) -> String {
+    let mut out = String::new();
+    let mut add = |name: &str, value: &str| {
+        if !value.is_empty() {
+            let _ = writeln!(out, "<div><dt>{name}</dt><dd>{}</dd></div>", escape(value));
+        }
+    };
+    add("Date", &r.context.date);
+    add("Saved view", &r.context.target);
+    if let Some(objective) = r.timeline.active {
+        add("Objective at the end", &objective.0);
+    }
+    add(
+        "Stage at the end",
+        &r.timeline.stage.map_or(String::new(), place),
+    );
+    for stored in r.timeline.used() {
+        let made = match stored.made.is_empty() {
+            true => String::new(),
+            false => format!(", of {}", stored.made),
+        };
+        let name = format!("Calibration {}", stored.calibration.objective);
+        add(&name, &format!("{}{made}", stored.file));
+    }
+    out
+}
+
+/// A place of the stage, every axis in its unit.
+fn place(at: &StagePose) -> String {
+    let all = Axis::ALL.into_iter().filter_map(|axis| {
+        let si = at.si(axis)?;
+        let rotation = match axis {
+            Axis::Rx => "rx",
+            Axis::Ry => "ry",
+            Axis::Rz => "rz",
+            Axis::X | Axis::Y | Axis::Z => {
+                return Some(format!("{axis} {} µm", fixed(1e6 * si, 1)));
+            }
+        };
+        Some(format!("{rotation} {}", deg(si.to_degrees())))
+    });
+    all.collect::<Vec<_>>().join(", ")
+}
+
 /// With a capital letter and a full stop.
 pub(crate) fn sentence(text: &str) -> String {
     let mut chars = text.chars();
     let first = chars.next().map(|c| c.to_uppercase().to_string());
     let mut out = first.unwrap_or_default() + chars.as_str();
-    // Events are written in ASCII; a page need not be.
-    for (ascii, unit) in [
-        (" um ", " µm "),
-        (" um,", " µm,"),
-        (" um.", " µm."),
-        (" deg ", "° "),
-    ] {
-        out = out.replace(ascii, unit);
-    }
-    for digit in '0'..='9' {
-        out = out.replace(&format!(" -{digit}"), &format!(" \u{2212}{digit}"));
-    }
+    out = units(&out);
     if !out.ends_with(['.', '!', '?']) {
         out.push('.');
     }
@@ -109,13 +155,23 @@ fn numbers(r: &Report<'_>) -> String {
             escape(&value)
         );
     };
-    if let Some(outcome) = r.timeline.outcome {
-        if let Some(v) = outcome.estimated_error_um {
-            add(&mut first, "off, as measured", um(v), "big");
-        }
-        if let Some(v) = outcome.estimated_error_deg {
-            add(&mut first, "turned, as measured", deg(v), "big");
-        }
+    let measured = r.timeline.outcome.and_then(|o| {
+        o.estimated_error_um?;
+        o.magnifications.last()?.end.result()
+    });
+    if let Some(e) = measured {
+        add(
+            &mut first,
+            "off, as measured, ± one σ",
+            um_within(e.error.distance_um(), e.sigma_um),
+            "big",
+        );
+        add(
+            &mut first,
+            "turned, as measured, ± one σ",
+            deg_within(e.error.angle_deg().abs(), e.sigma_deg),
+            "big",
+        );
     }
     if let Some(t) = r.truth.filter(|t| t.error_um.is_finite()) {
         add(&mut first, "off in truth", um(t.error_um), "big true");
@@ -175,12 +231,13 @@ fn known(r: &Report<'_>) -> String {
         };
         let _ = write!(
             out,
-            "Estimated from {from} at {}, compared with the saved view: {} apart over {} inliers, known to ±{}; \
-             both added in quadrature.",
+            "Measured in {from} at {}: {} agreeing places of the saved view lie {} beside where they were, known to ±{} (one \
+             standard deviation). Expected error of the arrival, both together: {}.",
             escape(&m.objective.0),
-            um(e.error.distance_um()),
             e.inliers,
-            um(e.sigma_um)
+            um(e.error.distance_um()),
+            um(e.sigma_um),
+            um(f64::hypot(e.error.distance_um(), e.sigma_um))
         );
     }
     match (
@@ -285,7 +342,7 @@ fn comparison(r: &Report<'_>) -> String {
             figures.extend(target_alone(r));
         }
     }
-    figures.extend(bullseye(r));
+    figures.extend(bullseye::figure(r));
     if figures.is_empty() {
         return "<p class=\"none\">No image of this run was kept.</p>\n".into();
     }
@@ -300,118 +357,5 @@ fn target_alone(r: &Report<'_>) -> Option<String> {
         .map_or(String::new(), |o| format!(", {}", escape(&o.0)));
     Some(format!(
         "<figure class=\"goal\">{target}<figcaption>The saved view{objective}.</figcaption></figure>\n"
-    ))
-}
-
-/// Rings about a centre, `ring` micrometres apart, where one micrometre is `unit` long.
-fn rings(c: &mut Canvas, [cx, cy]: [f64; 2], ring: f64, unit: f64, count: usize) {
-    for k in 1..=count {
-        let radius = k as f64 * ring * unit;
-        c.raw(&format!(
-            "<circle class=\"grid\" cx=\"{}\" cy=\"{}\" r=\"{}\"/>",
-            Attr(cx),
-            Attr(cy),
-            Attr(radius)
-        ));
-        let decimals = (-ring.log10().floor()).max(0.0) as usize;
-        c.text(
-            "tick mid lift",
-            cx,
-            cy - radius + 4.0,
-            &fixed(k as f64 * ring, decimals),
-        );
-    }
-}
-
-/// The square of one pixel of the target, from its centre and half its side.
-fn square(c: &mut Canvas, [cx, cy]: [f64; 2], half: f64) {
-    c.raw(&format!(
-        "<rect class=\"pixel\" x=\"{}\" y=\"{}\" width=\"{2}\" height=\"{2}\"/>",
-        Attr(cx - half),
-        Attr(cy - half),
-        Attr(2.0 * half)
-    ));
-}
-
-/// Where the view's centre ended around the target's, against one pixel.
-fn bullseye(r: &Report<'_>) -> Option<String> {
-    r.timeline.outcome?.estimated_error_um?;
-    let step = r.timeline.last_seen()?;
-    let target = r.target_size()?;
-    let (w, h) = r.gallery.size(&view_name(step.sequence))?;
-    let [x, y] = r.timeline.offset_um(step, [w, h], target)?;
-    let pixel_um = r.timeline.target_calibration()?.um_per_px();
-    let sigma_um = step.sigma_px * pixel_um;
-    let truth = r.true_at(step.sequence).map(|t| [t.x_um, t.y_um]);
-    let reach = [
-        x,
-        y,
-        truth.map_or(0.0, |t| t[0]),
-        truth.map_or(0.0, |t| t[1]),
-        pixel_um,
-    ]
-    .into_iter()
-    .filter(|v| v.is_finite())
-    .fold(2.0 * sigma_um, |m, v| m.max(v.abs()));
-    let ring = nice_step(reach / 3.0);
-    let outer = ring * (reach / ring * 1.02).ceil();
-    let side = 236.0;
-    let p = Panel {
-        left: 22.0,
-        top: 10.0,
-        width: side,
-        height: side,
-        x: Scale::exact(-outer, outer),
-        y: Scale::exact(-outer, outer),
-        y_down: true,
-    };
-    let mut c = Canvas::new(
-        side + 34.0,
-        &format!(
-            "The view's centre ended {} from the saved view's",
-            um(x.hypot(y))
-        ),
-    );
-    let unit = side / (2.0 * outer);
-    let [cx, cy] = p.at(0.0, 0.0);
-    rings(
-        &mut c,
-        [cx, cy],
-        ring,
-        unit,
-        (outer / ring).round() as usize,
-    );
-    square(&mut c, [cx, cy], pixel_um * unit / 2.0);
-    c.mark("faint", Mark::Plus, cx, cy);
-    let [mx, my] = p.at(x, y);
-    c.raw(&format!(
-        "<circle class=\"sigma\" cx=\"{}\" cy=\"{}\" r=\"{}\"/>",
-        Attr(mx),
-        Attr(my),
-        Attr((sigma_um * unit).max(1.0))
-    ));
-    c.mark("ink", Mark::Dot, mx, my);
-    let mut keys = vec![Key {
-        class: "ink",
-        mark: Some(Mark::Dot),
-        line: false,
-        label: "last measurement",
-    }];
-    if let Some([tx, ty]) = truth {
-        let [tx, ty] = p.at(tx, ty);
-        c.mark("truth", Mark::Ring, tx, ty);
-        keys.push(Key {
-            class: "truth",
-            mark: Some(Mark::Ring),
-            line: false,
-            label: "truth",
-        });
-    }
-    c.legend(36.0, side + 30.0, &keys);
-    Some(format!(
-        "<figure>{}<figcaption>Where the view's centre ended around the saved view's, µm. The square is one pixel of the \
-         saved view ({} µm); the disc is one standard deviation.</figcaption></figure>\n",
-        c.finish(),
-        short(pixel_um)
     ))
 }

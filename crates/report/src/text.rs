@@ -66,6 +66,58 @@ pub(crate) fn deg(value: f64) -> String {
     format!("{}°", fixed(value, decimals))
 }
 
+/// A length with its standard deviation, both with the digits that this leaves; without one where it is no number.
+pub(crate) fn um_within(value: f64, sigma: f64) -> String {
+    within(value, sigma).map_or_else(|| um(value), |text| format!("{text} µm"))
+}
+
+/// The same of an angle.
+pub(crate) fn deg_within(value: f64, sigma: f64) -> String {
+    within(value, sigma).map_or_else(|| deg(value), |text| format!("{text}°"))
+}
+
+/// Two significant digits of the standard deviation, four decimals at most.
+fn within(value: f64, sigma: f64) -> Option<String> {
+    if !(sigma.is_finite() && sigma > 0.0 && value.is_finite()) {
+        return None;
+    }
+    let decimals = (1.0 - sigma.log10().floor()).clamp(0.0, 4.0) as usize;
+    let known = match fixed(sigma, decimals) {
+        none if none.bytes().all(|b| matches!(b, b'0' | b'.')) => "0.0001".into(),
+        known => known,
+    };
+    Some(format!("{} ± {known}", fixed(value, decimals)))
+}
+
+/// Text of the program with the units of print. Events are written in ASCII; a page need not be.
+pub(crate) fn units(text: &str) -> String {
+    let mut out = String::with_capacity(text.len() + 8);
+    let mut words = text.split(' ').peekable();
+    let mut after_number = false;
+    while let Some(word) = words.next() {
+        let stem = word.trim_end_matches([',', '.', ';', ':', ')', '?', '!']);
+        let tail = &word[stem.len()..];
+        match stem {
+            "um" => out.push_str(&format!("µm{tail}")),
+            "deg" if after_number => {
+                out.pop();
+                out.push_str(&format!("°{tail}"));
+            }
+            _ => match word.strip_prefix('-') {
+                Some(rest) if rest.starts_with(|c: char| c.is_ascii_digit()) => {
+                    out.push_str(&format!("\u{2212}{rest}"));
+                }
+                _ => out.push_str(word),
+            },
+        }
+        after_number = word.ends_with(|c: char| c.is_ascii_digit());
+        if words.peek().is_some() {
+            out.push(' ');
+        }
+    }
+    out
+}
+
 /// A duration.
 pub(crate) fn seconds(value: f64) -> String {
     if value >= 120.0 {
@@ -121,11 +173,29 @@ mod tests {
     }
 
     #[test]
+    fn units_are_those_of_print_and_words_stay() {
+        assert_eq!(
+            units("3 um and -0.5 deg off, from 0.25 um"),
+            "3 µm and \u{2212}0.5° off, from 0.25 µm"
+        );
+        assert_eq!(units("within 7 um, 2 deg."), "within 7 µm, 2°.");
+        assert_eq!(
+            units("--lambda 0.2, album 3, a deg of freedom, x-1"),
+            "--lambda 0.2, album 3, a deg of freedom, x-1"
+        );
+    }
+
+    #[test]
     fn numbers_have_the_digits_that_matter() {
         assert_eq!(fixed(-0.001, 2), "0.00");
         assert_eq!(fixed(-1.5, 1), "\u{2212}1.5");
         assert_eq!(fixed(f64::NAN, 1), "–");
         assert_eq!(um(0.4237), "0.42 µm");
+        assert_eq!(um_within(0.0642, 0.0271), "0.064 ± 0.027 µm");
+        assert_eq!(um_within(12.34, 3.1), "12.3 ± 3.1 µm");
+        assert_eq!(um_within(0.4237, f64::NAN), "0.42 µm");
+        assert_eq!(deg_within(0.00012, 0.00037), "0.0001 ± 0.0004°");
+        assert_eq!(deg_within(0.0, 0.000004), "0.0000 ± 0.0001°");
         assert_eq!(um(0.0421), "0.042 µm");
         assert_eq!(um(1234.4), "1234 µm");
         assert_eq!(um(125_403.1), "125 mm");

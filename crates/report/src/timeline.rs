@@ -1,7 +1,8 @@
 //! A list of events read as a timeline: legs, sweeps, calibrations, magnifications, the end.
 
+use crate::model::Stored;
 use scopeservo_geometry::{Affine2, Vec2};
-use scopeservo_scope::ObjectiveId;
+use scopeservo_scope::{ObjectiveId, StagePose};
 use scopeservo_servo::{
     Calibration, ChainPlace, ChainView, Event, FocusResult, FrameRole, Outcome, Phase, PixelsSeen,
     PoseError, Promised, Stamped, Velocity,
@@ -109,15 +110,22 @@ pub(crate) struct Timeline<'a> {
     pub(crate) calibrations: Vec<Calibrating<'a>>,
     pub(crate) magnifications: Vec<Magnification<'a>>,
     pub(crate) outcome: Option<&'a Outcome>,
+    /// Calibrations that were known before.
+    stored: &'a [Stored],
     /// The objective of the last frame.
-    active: Option<&'a ObjectiveId>,
+    pub(crate) active: Option<&'a ObjectiveId>,
+    /// Where the stage last said it stood.
+    pub(crate) stage: Option<&'a StagePose>,
     pub(crate) frames: usize,
     pub(crate) duration_s: f64,
 }
 
 impl<'a> Timeline<'a> {
-    pub(crate) fn read(events: &'a [Stamped]) -> Self {
-        let mut timeline = Self::default();
+    pub(crate) fn read(events: &'a [Stamped], stored: &'a [Stored]) -> Self {
+        let mut timeline = Self {
+            stored,
+            ..Self::default()
+        };
         for stamped in events {
             timeline.take(stamped);
         }
@@ -154,9 +162,13 @@ impl<'a> Timeline<'a> {
                 self.phase(*phase, objective, stamped.time_s);
             }
             Event::FrameGrabbed {
-                role, objective, ..
+                role,
+                objective,
+                stage,
+                ..
             } => {
                 self.active = Some(objective);
+                self.stage = stage.as_ref().or(self.stage);
                 self.frames += usize::from(*role != FrameRole::Target);
             }
             Event::FocusSample { z_um, sharpness } => {
@@ -187,21 +199,24 @@ impl<'a> Timeline<'a> {
                 converged,
                 pixels,
                 promised,
-                ..
-            } => self.magnification(objective).iterations.push(Iteration {
-                iteration: *iteration,
-                sequence: *sequence,
-                error,
-                velocity,
-                target_from_view,
-                inliers: *inliers,
-                matches: *matches,
-                sigma_px: *sigma_px,
-                pairs,
-                converged: *converged,
-                pixels: pixels.as_deref(),
-                promised: promised.as_deref(),
-            }),
+                stage,
+            } => {
+                self.stage = Some(stage);
+                self.magnification(objective).iterations.push(Iteration {
+                    iteration: *iteration,
+                    sequence: *sequence,
+                    error,
+                    velocity,
+                    target_from_view,
+                    inliers: *inliers,
+                    matches: *matches,
+                    sigma_px: *sigma_px,
+                    pairs,
+                    converged: *converged,
+                    pixels: pixels.as_deref(),
+                    promised: promised.as_deref(),
+                });
+            }
             Event::Lost {
                 objective,
                 iteration,
@@ -360,13 +375,29 @@ impl<'a> Timeline<'a> {
         self.magnifications.last_mut().expect("one was just opened")
     }
 
-    /// The newest calibration of an objective.
+    /// The newest calibration of an objective, made in this run or known before.
     pub(crate) fn calibration(&self, objective: &ObjectiveId) -> Option<&'a Calibration> {
-        self.calibrations
-            .iter()
-            .rev()
-            .filter_map(|c| c.made.map(|m| m.0))
+        let made = self.calibrations.iter().rev();
+        let stored = self.stored.iter().rev().map(|s| &s.calibration);
+        made.filter_map(|c| c.made.map(|m| m.0))
+            .chain(stored)
             .find(|c| c.objective == *objective)
+    }
+
+    /// Calibrations that were known before and are of objectives that were looked through.
+    pub(crate) fn used(&self) -> impl Iterator<Item = &'a Stored> {
+        let used = |id: &ObjectiveId| {
+            self.magnifications.iter().any(|m| m.objective == id)
+                || self.target_objective == Some(id)
+        };
+        let made = |id: &ObjectiveId| {
+            let mut all = self.calibrations.iter();
+            all.any(|c| c.objective == id && c.made.is_some())
+        };
+        (self.stored.iter()).filter(move |s| {
+            let id = &s.calibration.objective;
+            used(id) && !made(id)
+        })
     }
 
     /// The newest calibration of the target's objective.

@@ -6,6 +6,7 @@ use crate::plots;
 use crate::recorder::SHOWN_ITERATIONS;
 use crate::text::{count, deg, escape, fixed, um};
 use crate::timeline::{Magnification, outline};
+use scopeservo_servo::Calibration;
 use std::fmt::Write as _;
 
 pub(crate) fn section(r: &Report<'_>) -> String {
@@ -13,7 +14,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
         return "<p class=\"none\">The run ended before the stage was servoed, so there is no way to show.</p>\n".into();
     }
     let mut out = String::from(
-        "<p class=\"lead\">In every iteration the stage takes away a share of the measured error, with direct control all of it. \
+        "<p class=\"lead\">Each look tells how far off the view stands, and a move takes that away: all of it, or a share of it with the published method. \
          The dashed frame is the saved view as recognised in the present one; the cross is the middle of the image.</p>\n",
     );
     for m in &r.timeline.magnifications {
@@ -25,7 +26,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
         );
         out.push_str(&pictures(r, m));
         out.push_str(&plots::section(r, m));
-        out.push_str(&table(m));
+        out.push_str(&table(r, m));
         out.push_str("</article>\n");
     }
     out
@@ -113,14 +114,16 @@ fn pictures(r: &Report<'_>, m: &Magnification<'_>) -> String {
     format!("<div class=\"row\">\n{out}</div>\n")
 }
 
-fn table(m: &Magnification<'_>) -> String {
+fn table(r: &Report<'_>, m: &Magnification<'_>) -> String {
     if m.iterations.is_empty() {
         return String::new();
     }
-    let mut out = String::from(
-        "<details><summary>The numbers</summary><div class=\"scroll\"><table>\n<thead><tr><th scope=\"col\">iteration</th>\
+    let pixel_um = r.timeline.target_calibration().map(Calibration::um_per_px);
+    let unit = pixel_um.map_or("target px", |_| "µm");
+    let mut out = format!(
+        "<details class=\"table\"><summary>The numbers</summary><div class=\"scroll\"><table>\n<thead><tr><th scope=\"col\">iteration</th>\
          <th scope=\"col\">e<sub>x</sub>, µm</th><th scope=\"col\">e<sub>y</sub>, µm</th><th scope=\"col\">e<sub>θ</sub>, °</th>\
-         <th scope=\"col\">agreeing of matches</th><th scope=\"col\">σ, target px</th></tr></thead>\n<tbody>\n",
+         <th scope=\"col\">agreeing of matches</th><th scope=\"col\">σ of the place, {unit}</th></tr></thead>\n<tbody>\n",
     );
     for i in &m.iterations {
         let _ = writeln!(
@@ -133,7 +136,7 @@ fn table(m: &Magnification<'_>) -> String {
             fixed(i.error.angle_deg(), 4),
             i.inliers,
             i.matches,
-            fixed(i.sigma_px, 3)
+            fixed(i.sigma_px * pixel_um.unwrap_or(1.0), 3)
         );
     }
     out.push_str("</tbody></table></div></details>\n");

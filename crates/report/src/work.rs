@@ -5,15 +5,16 @@ use crate::changes::{beside_each_other, section as changes};
 use crate::model::{Report, Work, WorkEnd, view_name};
 use crate::page::whole;
 use crate::picture::Gallery;
-use crate::summary::{DONE, REFUSED, UNFINISHED, head, sentence};
+use crate::summary::{DONE, REFUSED, UNFINISHED, beside, head, sentence};
 use crate::text::{count, escape, fixed, seconds};
 use crate::timeline::{Calibrating, Timeline};
 use crate::{Context, Recorder, chain, focus, provenance};
+use scopeservo_servo::Calibration;
 use std::fmt::Write as _;
 
 /// The page of a calibration or a focus, whatever came of it.
 pub fn work_html(recorder: &Recorder, end: &WorkEnd, context: &Context) -> String {
-    let timeline = Timeline::read(recorder.events());
+    let timeline = Timeline::read(recorder.events(), &context.stored);
     let gallery = gallery(recorder, &timeline, end);
     let report = Report {
         timeline,
@@ -42,7 +43,7 @@ pub fn work_html(recorder: &Recorder, end: &WorkEnd, context: &Context) -> Strin
     let mut header = head(context, title, look, [word, &message]);
     header.push_str(&plain(&report));
     header.push_str(&numbers(&report, end));
-    header.push_str("</header>\n");
+    header.push_str(&beside(&report));
     let parts = &parts[..];
     whole(&format!("{word}: {title}"), &header, parts, &report.gallery)
 }
@@ -204,6 +205,7 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>, end: &WorkEnd) -> Galle
     for sequence in timeline.calibrations.iter().flat_map(chain::shown) {
         if let Some(jpeg) = recorder.calibration_view(sequence) {
             gallery.add(view_name(sequence), jpeg);
+            gallery.scale(view_name(sequence), chain_um(timeline, sequence));
         }
     }
     // Of a focus that failed the sharpest, of another failure the last image, unless it is there already.
@@ -217,6 +219,15 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>, end: &WorkEnd) -> Galle
     };
     if let Some(jpeg) = picture.and_then(|p| p.jpeg()) {
         gallery.add(name, jpeg);
+        let active = timeline.active.and_then(|id| timeline.calibration(id));
+        gallery.scale(name, active.map(Calibration::um_per_px));
     }
     gallery
+}
+
+/// The size of a pixel of a view of a chain, um, where that calibration or one before it tells.
+fn chain_um(timeline: &Timeline<'_>, sequence: u64) -> Option<f64> {
+    let has = |c: &&Calibrating<'_>| chain::shown(c).contains(&sequence);
+    let of = timeline.calibrations.iter().find(has)?.objective;
+    timeline.calibration(of).map(Calibration::um_per_px)
 }

@@ -4,9 +4,10 @@ use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
 use crate::output;
 use crate::progress::Watcher;
-use scopeservo_report::{Context, Failure, Work, WorkEnd, work_html};
+use scopeservo_library::{CalibrationFile, Calibrations as _, KeptCalibration, utc};
+use scopeservo_report::{Context, Failure, Stored, Work, WorkEnd, work_html};
 use scopeservo_servo::ErrorKind;
-use std::time::Instant;
+use std::time::{Instant, SystemTime};
 
 /// Why it failed, where it did.
 pub(super) fn failure<T>(output: &Result<T, CliError>) -> Option<Failure> {
@@ -32,12 +33,51 @@ pub(super) fn work_page(
     };
     let context = Context {
         title: format!("{what} of {}", opened.config.name),
+        wall_time_s: Some(since.elapsed().as_secs_f64()),
+        ..context(opened)
+    };
+    work_html(&watcher.recorder, end, &context)
+}
+
+/// What every page says of an instrument and of how it was made.
+pub(super) fn context(opened: &OpenInstrument) -> Context {
+    Context {
         instrument: opened.config.name.clone(),
         simulated: opened.is_simulated(),
         command: output::command_line(),
         version: env!("CARGO_PKG_VERSION").into(),
-        wall_time_s: Some(since.elapsed().as_secs_f64()),
+        date: readable(&utc(SystemTime::now())),
+        stored: stored(opened),
         ..Context::default()
+    }
+}
+
+/// 2026-11-24T20:15:00Z as 2026-11-24 20:15 UTC.
+fn readable(utc: &str) -> String {
+    let minute = utc.get(..16).map(|t| t.replace('T', " "));
+    minute.map_or_else(|| utc.into(), |t| format!("{t} UTC"))
+}
+
+/// The calibrations of this instrument and camera that are kept, the newest of each objective. One that is damaged was told of before.
+fn stored(opened: &OpenInstrument) -> Vec<Stored> {
+    let info = opened.scope.camera().info();
+    let fits = |kept: &KeptCalibration| {
+        kept.instrument == opened.config.name
+            && kept.calibration.image_size_px == [info.width, info.height]
     };
-    work_html(&watcher.recorder, end, &context)
+    let history = opened.library.calibration_history().unwrap_or_default();
+    let newest = |files: Vec<CalibrationFile>| {
+        files
+            .into_iter()
+            .rev()
+            .find_map(|CalibrationFile { path, kept }| {
+                let kept = kept.ok().filter(fits)?;
+                Some(Stored {
+                    calibration: kept.calibration,
+                    file: path.display().to_string(),
+                    made: readable(&kept.made),
+                })
+            })
+    };
+    history.into_iter().filter_map(newest).collect()
 }

@@ -1,6 +1,7 @@
 //! `scopeservo reposition`.
 
 use super::known_calibrations;
+use super::report::context;
 use crate::answer::Answer;
 use crate::args::RepositionArgs;
 use crate::error::{CliError, Code};
@@ -151,16 +152,13 @@ fn keep(
     }
     let context = report::Context {
         title: format!("Back to {name}"),
-        instrument: opened.config.name.clone(),
-        simulated: opened.is_simulated(),
-        command: output::command_line(),
-        version: env!("CARGO_PKG_VERSION").into(),
+        target: name.into(),
         wall_time_s: Some(seconds),
         convergence: Some(report::Convergence {
             position_px: servo.position_px,
             angle_deg: servo.angle_deg,
         }),
-        ..report::Context::default()
+        ..context(opened)
     };
     let page = report::html(&watcher.recorder, None, &context);
     keep_report(out, &page, None, answer);

@@ -494,6 +494,9 @@ pub(crate) fn no_focus() -> Teller {
 /// What is said beside a run.
 pub(crate) fn context() -> Context {
     Context {
+        date: "2026-11-27 09:30 UTC".into(),
+        target: "mitosis-3".into(),
+        stored: Vec::new(),
         title: "Back to the saved view".into(),
         specimen: "made-up tissue".into(),
         instrument: "simulated six-axis stage, 640 x 480 camera, 100x to 400x".into(),
