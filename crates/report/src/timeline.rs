@@ -185,38 +185,7 @@ impl<'a> Timeline<'a> {
             Event::CalibrationView { .. } | Event::ChainEnded { .. } | Event::Calibrated { .. } => {
                 self.calibrates(&stamped.event)
             }
-            Event::Iteration {
-                objective,
-                iteration,
-                sequence,
-                error,
-                velocity,
-                target_from_view,
-                inliers,
-                matches,
-                sigma_px,
-                pairs,
-                converged,
-                pixels,
-                promised,
-                stage,
-            } => {
-                self.stage = Some(stage);
-                self.magnification(objective).iterations.push(Iteration {
-                    iteration: *iteration,
-                    sequence: *sequence,
-                    error,
-                    velocity,
-                    target_from_view,
-                    inliers: *inliers,
-                    matches: *matches,
-                    sigma_px: *sigma_px,
-                    pairs,
-                    converged: *converged,
-                    pixels: pixels.as_deref(),
-                    promised: promised.as_deref(),
-                });
-            }
+            Event::Iteration { .. } => self.looks(&stamped.event),
             Event::Lost {
                 objective,
                 iteration,
@@ -229,6 +198,44 @@ impl<'a> Timeline<'a> {
             }),
             Event::Finished { outcome } => self.outcome = Some(outcome),
         }
+    }
+
+    /// One frame of the servo in which the target was seen.
+    fn looks(&mut self, event: &'a Event) {
+        let Event::Iteration {
+            objective,
+            iteration,
+            sequence,
+            error,
+            velocity,
+            target_from_view,
+            inliers,
+            matches,
+            sigma_px,
+            pairs,
+            converged,
+            pixels,
+            promised,
+            stage,
+        } = event
+        else {
+            return;
+        };
+        self.stage = Some(stage);
+        self.magnification(objective).iterations.push(Iteration {
+            iteration: *iteration,
+            sequence: *sequence,
+            error,
+            velocity,
+            target_from_view,
+            inliers: *inliers,
+            matches: *matches,
+            sigma_px: *sigma_px,
+            pairs,
+            converged: *converged,
+            pixels: pixels.as_deref(),
+            promised: promised.as_deref(),
+        });
     }
 
     /// What a calibration tells.
