@@ -2,11 +2,12 @@
 //!
 //! `cargo run --release -p scopeservo-studies --example focus -- --count 1500`
 //!
-//! Every start is kept as a line of its own: a study that was broken off goes on. `SCOPESERVO_SPECIMENS` gives real slides; without it
+//! Every start is kept as a line of its own: a study that was broken off goes on; beside them a page with plots, and CSV. `SCOPESERVO_SPECIMENS` gives real slides; without it
 //! the tissue is procedural. Exit code 1 when a failure left the stage nearer to the specimen or worse off than it began.
 
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
+mod page;
 mod start;
 mod table;
 
@@ -91,6 +92,10 @@ fn main() -> Outcome<()> {
             |k| Start::draw(k, &kind)?.run(args.measure, false),
         )?,
     };
+    if args.only.is_none() {
+        fs::write(path.with_extension("csv"), page::csv(&records))?;
+        fs::write(path.with_extension("html"), page::page(&records))?;
+    }
     let harmed = table::print(&records, kind.blank);
     if harmed > 0 {
         std::process::exit(1);

@@ -7,7 +7,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-fn row(name: &str, records: &[&Record]) {
+fn row(name: &str, records: &[&Record]) -> Vec<String> {
     let n = records.len();
     let share = |k: usize| format!("{k} ({:.1} %)", 100.0 * k as f64 / n.max(1) as f64);
     let count = |f: &dyn Fn(&Record) -> bool| records.iter().filter(|r| f(r)).count();
@@ -31,35 +31,65 @@ fn row(name: &str, records: &[&Record]) {
         .filter(|(r, off, _)| off.abs() <= 0.25 * r.depth_um)
         .count();
     let again_frames = median(again.iter().map(|a| a.2).collect());
-    println!(
-        "| {name} | {n} | {focused} | {} | {off:.3} | {frames} | {moves} | {again_right} of {} | {again_frames} |",
+    vec![
+        name.into(),
+        n.to_string(),
+        focused.to_string(),
         share(right),
-        again.len()
-    );
+        format!("{off:.3}"),
+        frames.to_string(),
+        moves.to_string(),
+        format!("{again_right} of {}", again.len()),
+        again_frames.to_string(),
+    ]
 }
 
-/// Prints the table; returns how many failures left the stage nearer or worse off.
-pub(crate) fn print(records: &[Record], blank: bool) -> usize {
-    println!(
-        "| starts | number | focused | within a quarter of the depth of field | median error, depths | median frames | median moves | again, right | again, median frames |\n\
-         |---|---|---|---|---|---|---|---|---|"
-    );
-    let of = |f: &dyn Fn(&Record) -> bool| records.iter().filter(|r| f(r)).collect::<Vec<_>>();
-    row("all", &of(&|_| true));
+pub(crate) const HEAD: [&str; 9] = [
+    "starts",
+    "number",
+    "focused",
+    "within a quarter of the depth of field",
+    "median error, depths",
+    "median frames",
+    "median moves",
+    "again, right",
+    "again, median frames",
+];
+
+/// All starts, and parts of them.
+pub(crate) fn rows(records: &[Record]) -> Vec<Vec<String>> {
+    let mut rows = Vec::new();
+    let mut add = |name: &str, of: &dyn Fn(&Record) -> bool| {
+        let of: Vec<_> = records.iter().filter(|r| of(r)).collect();
+        if !of.is_empty() {
+            rows.push(row(name, &of));
+        }
+    };
+    add("all", &|_| true);
     for objective in ["10x", "20x", "40x"] {
-        row(objective, &of(&|r| r.objective == objective));
+        add(objective, &|r| r.objective == objective);
     }
     let mut specimens: Vec<&str> = records.iter().map(|r| r.specimen.as_str()).collect();
     specimens.sort_unstable();
     specimens.dedup();
     for specimen in specimens {
-        row(specimen, &of(&|r| r.specimen == specimen));
+        add(specimen, &|r| r.specimen == specimen);
     }
-    row("noise up to 0.5 %", &of(&|r| r.noise <= 0.005));
-    row("noise above 0.5 %", &of(&|r| r.noise > 0.005));
-    row("backlash up to 2 um", &of(&|r| r.play_um <= 2.0));
-    row("backlash above 2 um", &of(&|r| r.play_um > 2.0));
-    row("beyond 50 um", &of(&|r| r.start_um.abs() > 50.0));
+    add("noise up to 0.5 %", &|r| r.noise <= 0.005);
+    add("noise above 0.5 %", &|r| r.noise > 0.005);
+    add("backlash up to 2 µm", &|r| r.play_um <= 2.0);
+    add("backlash above 2 µm", &|r| r.play_um > 2.0);
+    add("beyond 50 µm", &|r| r.start_um.abs() > 50.0);
+    rows
+}
+
+/// Prints the table; returns how many failures left the stage nearer or worse off.
+pub(crate) fn print(records: &[Record], blank: bool) -> usize {
+    println!("| {} |\n|{}", HEAD.join(" | "), "---|".repeat(HEAD.len()));
+    for row in rows(records) {
+        println!("| {} |", row.join(" | "));
+    }
+    let of = |f: &dyn Fn(&Record) -> bool| records.iter().filter(|r| f(r)).collect::<Vec<_>>();
     let harmed = of(&Record::is_harmed).len();
     println!("\n{harmed} failures left the stage nearer to the specimen");
     let wrong = of(&|r| r.answer == "focused" && !r.is_right());
