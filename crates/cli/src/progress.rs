@@ -1,15 +1,53 @@
 //! The progress bar, and the sink that shares events among bar, recorder and view writer.
 
 use crate::views::ViewWriter;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use scopeservo_report::Recorder;
 use scopeservo_scope::{Frame, ObjectiveId};
 use scopeservo_servo::{Event, FrameRole, Identity, Phase, Sink, Stamped};
+use std::sync::OnceLock;
+use std::time::Duration;
 
 /// Shares of a run that its parts take, from experience: the bar should move evenly.
 const FOCUS: f64 = 2.0;
 const CALIBRATE: f64 = 4.0;
 const SERVO: f64 = 12.0;
+
+/// What is shown of work whose end is known, and of other work. The words give way where the terminal is narrow.
+const BAR: &str = "{elapsed:>4} {bar:12} {percent:>3} %  {wide_msg}";
+const SPINNER: &str = "{elapsed:>4} {spinner}  {wide_msg}";
+/// How often what is shown moves, so that everybody sees that something is under way, whether or not anything is told.
+const TICK: Duration = Duration::from_millis(200);
+
+/// All that is shown at once.
+fn screen() -> &'static MultiProgress {
+    static SCREEN: OnceLock<MultiProgress> = OnceLock::new();
+    SCREEN.get_or_init(MultiProgress::new)
+}
+
+/// Does what writes a line while nothing is drawn over it.
+pub(crate) fn beside<T>(write: impl FnOnce() -> T) -> T {
+    screen().suspend(write)
+}
+
+/// Something whose end nobody knows.
+pub(crate) fn spinner(what: String) -> ProgressBar {
+    let bar = steady(ProgressBar::new_spinner(), SPINNER);
+    bar.set_message(what);
+    bar
+}
+
+/// From now on it is shown, and moves.
+fn steady(bar: ProgressBar, template: &str) -> ProgressBar {
+    let bar = screen().add(bar);
+    bar.set_style(style(template));
+    bar.enable_steady_tick(TICK);
+    bar
+}
+
+fn style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
+}
 
 pub(crate) struct Watcher {
     pub(crate) recorder: Recorder,
@@ -25,10 +63,7 @@ const CALIBRATION_VIEWS: f64 = 36.0;
 
 impl Watcher {
     pub(crate) fn new(views: Option<ViewWriter>) -> Self {
-        let bar = ProgressBar::new(1000);
-        let style = ProgressStyle::with_template("{elapsed:>4} {bar:30} {percent:>3} %  {msg}")
-            .unwrap_or_else(|_| ProgressStyle::default_bar());
-        bar.set_style(style);
+        let bar = steady(ProgressBar::new(1000), BAR);
         Self {
             recorder: Recorder::new(),
             views,

@@ -3,6 +3,7 @@
 use super::known_calibrations;
 use crate::answer::Answer;
 use crate::args::RepositionArgs;
+use crate::colour;
 use crate::error::{CliError, Code};
 use crate::journal::Asked;
 use crate::open_instrument::{OpenInstrument, Ran};
@@ -193,7 +194,7 @@ fn foreign_scale(
 }
 
 fn show_outcome(answer: &Answer, outcome: &Outcome) {
-    let verdict = output::word(outcome.verdict);
+    let verdict = colour::verdict(output::word(outcome.verdict), outcome.verdict.into());
     say!(answer, "{verdict}: {}", outcome.message);
     // A calibration that is off looks like a specimen that is.
     let astray = [
