@@ -22,7 +22,6 @@ use std::path::PathBuf;
 #[command(
     name = "scopeservo",
     version,
-    about,
     after_help = "Exit codes: 0 arrived, found, done or all checks hold; 3 not found, refused, or a check does not hold; 2 bad input or usage, and \
                   nothing was done; 1 a fault, Ctrl-C, or an answer that could not be kept or told. A reader of the answer who goes \
                   away changes nothing."
