@@ -248,6 +248,7 @@ fn page(
 ) -> String {
     let truth = target.map(|target| hidden_truth(bench, recorder, target, result));
     let servo = ServoOptions::default();
+    let at = bench.scope.gate().last_reported();
     let context = report::Context {
         title: format!("Reposition on {}", result.specimen),
         specimen: bench.specimen.describe(),
@@ -258,11 +259,13 @@ fn page(
         version: env!("CARGO_PKG_VERSION").into(),
         virtual_time: true,
         wall_time_s: Some(started.elapsed().as_secs_f64()),
-        credit: None,
+        date: output::date(),
+        place: at.map_or(String::new(), |at| at.to_string()),
         convergence: Some(report::Convergence {
             position_px: servo.position_px,
             angle_deg: servo.angle_deg,
         }),
+        ..report::Context::default()
     };
     report::html(recorder, truth.as_ref(), &context)
 }
@@ -330,8 +333,9 @@ fn show(answer: &Answer, result: &DemoJson, started: Instant) {
         match (m.iterations, m.inliers, m.error_um, m.error_deg) {
             (Some(n), Some(inliers), Some(um), Some(deg)) => say!(
                 answer,
-                "  {:>4}x  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {deg:8.4} deg  {:.4} um/px",
+                "  {:>4}x  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {:>8} deg  {:.4} um/px",
                 m.magnification,
+                output::signed(deg, 4),
                 m.calibration.um_per_px
             ),
             _ => say!(answer, "  {:>4}x  the target was not seen", m.magnification),

@@ -150,13 +150,34 @@ impl OpenInstrument {
         Ok((opened, consent))
     }
 
-    /// Whether stage or camera are simulated.
+    /// Whether stage or camera are simulated, by our own description or by what a driver calls them.
     pub(crate) fn is_simulated(&self) -> bool {
         let devices = &self.config.devices;
-        [&devices.stage, &devices.camera].into_iter().any(|name| {
+        let described = [&devices.stage, &devices.camera].into_iter().any(|name| {
             let driver = self.config.drivers.get(name);
             driver.is_some_and(|driver| driver.twin.is_some())
-        })
+        });
+        let names = [
+            &self.scope.gate().info().name,
+            &self.scope.camera().info().name,
+        ];
+        let told = names
+            .iter()
+            .any(|name| name.to_lowercase().contains("simulated"));
+        described || told
+    }
+
+    /// What lies under a simulated microscope; nobody knows it of another.
+    pub(crate) fn specimen(&self) -> String {
+        let driver = self.config.drivers.get(&self.config.devices.camera);
+        let Some(twin) = driver.and_then(|driver| driver.twin.as_ref()) else {
+            return String::new();
+        };
+        match (&twin.specimen, &twin.made) {
+            (Some(file), _) => file.display().to_string(),
+            (None, Some(_)) => "a specimen made up as described".into(),
+            (None, None) => format!("procedural tissue, seed {}", twin.seed),
+        }
     }
 
     /// Whether nothing that was killed waits to go on; else an error tells where things stand.

@@ -4,7 +4,7 @@ use crate::matches::drawing;
 use crate::model::{Report, view_name};
 use crate::plots::equal_panel;
 use crate::svg::{Attr, Canvas, Key, Mark, Panel, Scale, WIDTH, nice_step};
-use crate::text::{count, escape, fixed, short, um};
+use crate::text::{count, fixed, prose, short, um};
 use crate::timeline::{Calibrating, Ended, Look};
 use scopeservo_servo::joint::Role;
 use scopeservo_servo::{ChainPair, ChainPlace};
@@ -435,7 +435,7 @@ fn beside(look: &Look<'_>, pair: Option<&ChainPair>, drawn: bool) -> String {
         Some(reason) => format!(
             "not recognised in view {}{sides}, which it should overlap: {}. {among} {} drawn.",
             pair.with + 1,
-            escape(&reason.to_string()),
+            prose(&reason.to_string()),
             match (pair.matches, pair.places.len()) {
                 (0, _) => "could be",
                 (m, n) if n < m => "were there; some of them are",

@@ -138,6 +138,18 @@ pub struct Context {
     pub specimen: String,
     /// Which microscope.
     pub instrument: String,
+    /// When the page was made.
+    #[serde(default)]
+    pub date: String,
+    /// The target, with where it comes from.
+    #[serde(default)]
+    pub target: String,
+    /// Where the stage stood at the end, z included.
+    #[serde(default)]
+    pub place: String,
+    /// The calibrations that are in use: each objective, and the file.
+    #[serde(default)]
+    pub calibrations: Vec<(String, String)>,
     /// The command that made the run.
     pub command: String,
     /// Seed of everything random in a simulated run.

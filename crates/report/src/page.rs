@@ -7,6 +7,7 @@ use crate::text::escape;
 use crate::timeline::Timeline;
 use crate::{Context, Recorder, Truth};
 use crate::{calibration, focus, matches, provenance, summary, views};
+use scopeservo_servo::Calibration;
 use std::fmt::Write as _;
 
 const STYLE: &str = include_str!("style.css");
@@ -58,6 +59,11 @@ pub(crate) fn whole(
          <title>{}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{head}",
         escape(title)
     );
+    out.push_str("<nav aria-label=\"Contents\"><ol>\n");
+    for (i, (heading, _)) in parts.iter().enumerate() {
+        let _ = writeln!(out, "<li><a href=\"#h{i}\">{heading}</a></li>");
+    }
+    out.push_str("</ol></nav>\n");
     for (i, (heading, body)) in parts.iter().enumerate() {
         let _ = write!(
             out,
@@ -76,6 +82,8 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
     if let Some(jpeg) = recorder.target().and_then(|t| t.jpeg()) {
         gallery.add("target", jpeg);
     }
+    let of_target = timeline.target_calibration().map(Calibration::um_per_px);
+    gallery.scaled("target", of_target);
     for magnification in &timeline.magnifications {
         let frames = magnification.frames();
         let last = frames.last().map(|f| f.1);
@@ -84,6 +92,8 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
                 && let Some(jpeg) = recorder.view(sequence)
             {
                 gallery.add(view_name(sequence), jpeg);
+                let scale = magnification.calibration.map(Calibration::um_per_px);
+                gallery.scaled(view_name(sequence), scale);
             }
         }
     }
@@ -94,6 +104,7 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
         && let Some(jpeg) = target.blend(view).and_then(|b| b.jpeg())
     {
         gallery.add("blend", jpeg);
+        gallery.scaled("blend", of_target);
     }
     if timeline.magnifications.is_empty() {
         let unfocused = timeline.sweeps.last().is_some_and(|s| s.result.is_none());
@@ -104,6 +115,7 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
         };
         if let Some(jpeg) = picture.and_then(|p| p.jpeg()) {
             gallery.add(name, jpeg);
+            gallery.scaled(name, timeline.active_um_per_px());
         }
     }
     gallery

@@ -1,7 +1,7 @@
 //! Images: kept as they came or compressed, and embedded once each.
 
-use crate::svg::Attr;
-use crate::text::escape;
+use crate::svg::{Attr, nice_step};
+use crate::text::{escape, fixed};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use image::codecs::jpeg::JpegEncoder;
@@ -86,6 +86,8 @@ impl Picture {
 #[derive(Debug, Default)]
 pub(crate) struct Gallery {
     pictures: BTreeMap<String, Jpeg>,
+    /// Micrometres on the specimen per pixel, of those of which that is known.
+    scales: BTreeMap<String, f64>,
 }
 
 impl Gallery {
@@ -94,14 +96,23 @@ impl Gallery {
         self.pictures.insert(name.into(), picture);
     }
 
+    /// What a pixel of an image is on the specimen: from now on it is drawn with a scale bar.
+    pub(crate) fn scaled(&mut self, name: impl Into<String>, um_per_px: Option<f64>) {
+        if let Some(scale) = um_per_px.filter(|s| s.is_finite() && *s > 0.0) {
+            self.scales.insert(name.into(), scale);
+        }
+    }
+
     pub(crate) fn size(&self, name: &str) -> Option<(f64, f64)> {
         let picture = self.pictures.get(name)?;
         Some((picture.width as f64, picture.height as f64))
     }
 
-    /// The image as an element, its pixel centres at integer coordinates.
+    /// The image as an element, its pixel centres at integer coordinates, with a scale bar where its scale is known.
     pub(crate) fn draw(&self, name: &str) -> String {
-        format!("<use href=\"#{name}\"/>")
+        let size = self.size(name).zip(self.scales.get(name));
+        let bar = size.map_or(String::new(), |((w, h), scale)| bar(w, h, *scale));
+        format!("<use href=\"#{name}\"/>{bar}")
     }
 
     /// An SVG with the image and what `overlay` draws on it in pixel coordinates; `None` for an unknown image.
@@ -130,6 +141,26 @@ impl Gallery {
         out.push_str("</defs></svg>\n");
         out
     }
+}
+
+/// A scale bar at the lower right, a tenth to a quarter of the image long.
+fn bar(width: f64, height: f64, um_per_px: f64) -> String {
+    let length_um = nice_step(0.1 * width * um_per_px);
+    let (right, y) = (0.97 * width, 0.95 * height);
+    let left = right - length_um / um_per_px;
+    let path = format!("M{} {}H{}", Attr(left), Attr(y), Attr(right));
+    let words = match length_um {
+        um if um >= 1000.0 => format!("{} mm", um / 1000.0),
+        um if um >= 1.0 => format!("{um:.0} µm"),
+        um => format!("{} nm", fixed(um * 1000.0, 0)),
+    };
+    format!(
+        "<g class=\"scale\"><path class=\"under\" d=\"{path}\"/><path class=\"over\" d=\"{path}\"/>\
+         <text class=\"mid\" x=\"{}\" y=\"{}\" font-size=\"{}\">{words}</text></g>",
+        Attr((left + right) / 2.0),
+        Attr(y - 0.022 * width),
+        Attr(0.042 * width)
+    )
 }
 
 /// A cross at the middle of an image, and the outline of the target where one is seen.
@@ -168,4 +199,64 @@ pub(crate) fn aim(width: f64, height: f64, outline: Option<&[[f64; 2]; 4]>) -> S
         );
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scale_bar_is_as_long_as_it_says() {
+        for (um_per_px, words) in [
+            (0.51, "50 µm"),
+            (2.22, "200 µm"),
+            (1.0, "100 µm"),
+            (0.1, "10 µm"),
+            (0.005, "500 nm"),
+            (30.0, "2 mm"),
+        ] {
+            let bar = bar(640.0, 480.0, um_per_px);
+            assert!(bar.contains(&format!(">{words}</text>")), "{bar}");
+            let path = bar
+                .split("d=\"M")
+                .nth(1)
+                .unwrap()
+                .split('"')
+                .next()
+                .unwrap();
+            let numbers: Vec<f64> = path.split([' ', 'H']).map(|n| n.parse().unwrap()).collect();
+            let length_um = (numbers[2] - numbers[0]) * um_per_px;
+            let said: f64 = words.split(' ').next().unwrap().parse().unwrap();
+            let said_um = said
+                * [("nm", 1e-3), ("µm", 1.0), ("mm", 1e3)]
+                    .iter()
+                    .find(|(u, _)| words.ends_with(u))
+                    .unwrap()
+                    .1;
+            assert!(
+                (length_um / said_um - 1.0).abs() < 0.01,
+                "{um_per_px}: {length_um}"
+            );
+            assert!(
+                (60.0..=165.0).contains(&(numbers[2] - numbers[0])),
+                "{path}"
+            );
+        }
+    }
+
+    #[test]
+    fn an_image_of_unknown_scale_has_no_bar() {
+        let mut gallery = Gallery::default();
+        let picture = Picture::new(8, 8, vec![100; 192]).unwrap();
+        for name in ["known", "unknown", "odd"] {
+            gallery.add(name, picture.jpeg().unwrap());
+        }
+        gallery.scaled("known", Some(0.5));
+        gallery.scaled("unknown", None);
+        gallery.scaled("odd", Some(f64::NAN));
+        assert!(gallery.draw("known").contains("class=\"scale\""));
+        for name in ["unknown", "odd"] {
+            assert!(!gallery.draw(name).contains("scale"), "{name}");
+        }
+    }
 }

@@ -1,7 +1,7 @@
 //! Where the time went, and how the run was made.
 
 use crate::model::Report;
-use crate::text::{escape, fixed, seconds};
+use crate::text::{escape, fixed, prose, seconds};
 use scopeservo_servo::Phase;
 use std::fmt::Write as _;
 
@@ -88,18 +88,23 @@ pub(crate) fn section(r: &Report<'_>) -> String {
     let mut out = String::from("<dl class=\"made\">\n");
     let mut add = |name: &str, value: &str, code: bool| {
         if !value.is_empty() {
-            let value = escape(value);
-            let value = if code {
-                format!("<code>{value}</code>")
-            } else {
-                value
+            let value = match code {
+                true => format!("<code>{}</code>", escape(value)),
+                false => prose(value),
             };
             let _ = writeln!(out, "<div><dt>{name}</dt><dd>{value}</dd></div>");
         }
     };
     let c = r.context;
+    add("Date", &c.date, false);
+    add("Target", &c.target, false);
     add("Specimen", &c.specimen, false);
     add("Instrument", &c.instrument, false);
+    add("Stage at the end", &c.place, false);
+    for (objective, file) in &c.calibrations {
+        let name = format!("Calibration of {}", escape(objective));
+        add(&name, file, true);
+    }
     add("Command", &c.command, true);
     add(
         "Seed",

@@ -3,7 +3,7 @@
 use crate::model::{Context, Report, verdict_word, view_name};
 use crate::picture::aim;
 use crate::svg::{Attr, Canvas, Key, Mark, Panel, Scale, nice_step};
-use crate::text::{deg, escape, fixed, seconds, short, um};
+use crate::text::{deg, escape, fixed, prose, seconds, short, um, units};
 use crate::timeline::outline;
 use scopeservo_servo::Verdict;
 use std::fmt::Write as _;
@@ -58,11 +58,16 @@ pub(crate) fn head(
         true => "simulated microscope",
         false => "",
     };
-    let about: Vec<_> = [&*context.specimen, &context.instrument, simulated]
-        .into_iter()
-        .filter(|t| !t.is_empty())
-        .map(escape)
-        .collect();
+    let about: Vec<_> = [
+        &*context.specimen,
+        &context.instrument,
+        simulated,
+        &context.date,
+    ]
+    .into_iter()
+    .filter(|t| !t.is_empty())
+    .map(prose)
+    .collect();
     let mut out = format!(
         "<header class=\"{class}\">\n<p class=\"over\">{}</p>\n<div class=\"verdict\">\
          <svg class=\"icon\" viewBox=\"0 0 40 40\" aria-hidden=\"true\"><circle cx=\"20\" cy=\"20\" r=\"19\"/><path d=\"{icon}\"/></svg>\
@@ -82,14 +87,7 @@ pub(crate) fn sentence(text: &str) -> String {
     let first = chars.next().map(|c| c.to_uppercase().to_string());
     let mut out = first.unwrap_or_default() + chars.as_str();
     // Events are written in ASCII; a page need not be.
-    for (ascii, unit) in [
-        (" um ", " µm "),
-        (" um,", " µm,"),
-        (" um.", " µm."),
-        (" deg ", "° "),
-    ] {
-        out = out.replace(ascii, unit);
-    }
+    out = units(&out);
     for digit in '0'..='9' {
         out = out.replace(&format!(" -{digit}"), &format!(" \u{2212}{digit}"));
     }
@@ -262,7 +260,7 @@ fn comparison(r: &Report<'_>) -> String {
             if let Some(view) = view {
                 let lost = m.lost.iter().find(|l| l.sequence == sequence);
                 let why = lost.map_or(String::new(), |l| {
-                    format!(" Not recognised: {}.", escape(&l.reason))
+                    format!(" Not recognised: {}.", prose(&l.reason))
                 });
                 figures.push(format!(
                     "<figure>{view}<figcaption>The last view, {} at iteration {iteration}.{why}</figcaption></figure>\n",

@@ -17,6 +17,37 @@ pub(crate) fn escape(text: &str) -> String {
     out
 }
 
+/// The same for a sentence that was written in ASCII, as events are: a page has one sign for each unit.
+pub(crate) fn prose(text: &str) -> String {
+    escape(&units(text))
+}
+
+/// " um" and " deg" behind a number or a word as their signs.
+pub(crate) fn units(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    let mut rest = text;
+    while !rest.is_empty() {
+        let sign = [(" um", " µm"), (" deg", "°")]
+            .into_iter()
+            .find(|(ascii, _)| {
+                let after = rest.strip_prefix(ascii).map(|r| r.chars().next());
+                after.is_some_and(|c| !c.is_some_and(|c| c.is_alphanumeric() || c == '_'))
+            });
+        match sign {
+            Some((ascii, sign)) => {
+                out.push_str(sign);
+                rest = &rest[ascii.len()..];
+            }
+            None => {
+                let one = rest.chars().next().map_or(0, char::len_utf8);
+                out.push_str(&rest[..one]);
+                rest = &rest[one..];
+            }
+        }
+    }
+    out
+}
+
 /// A number with this many decimals and a true minus sign; a dash when it is not a number.
 pub(crate) fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
@@ -118,6 +149,24 @@ mod tests {
             "&lt;a b=&quot;c&quot;&gt;&amp;&#39;"
         );
         assert_eq!(escape("a\u{0}b"), "a b");
+    }
+
+    #[test]
+    fn a_sentence_has_the_signs_of_its_units_and_a_command_keeps_its_words() {
+        for (ascii, shown) in [
+            ("0.36 um off", "0.36 µm off"),
+            ("by 2 um", "by 2 µm"),
+            ("(-40 to 40 um), 3 deg.", "(-40 to 40 µm), 3°."),
+            ("0.5 um; 1 deg/s", "0.5 µm; 1°/s"),
+            ("rz = 0.01 deg", "rz = 0.01°"),
+            (
+                "um_per_px, --within-um 2, an umbrella, a degree",
+                "um_per_px, --within-um 2, an umbrella, a degree",
+            ),
+            ("\u{1f52c} um", "\u{1f52c} µm"),
+        ] {
+            assert_eq!(units(ascii), shown);
+        }
     }
 
     #[test]

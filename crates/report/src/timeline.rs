@@ -365,6 +365,11 @@ impl<'a> Timeline<'a> {
             .find(|c| c.objective == *objective)
     }
 
+    /// Micrometres per pixel with the objective that was active last, where it was calibrated.
+    pub(crate) fn active_um_per_px(&self) -> Option<f64> {
+        Some(self.calibration(self.active?)?.um_per_px())
+    }
+
     /// The newest calibration of the target's objective.
     pub(crate) fn target_calibration(&self) -> Option<&'a Calibration> {
         self.calibration(self.target_objective?)

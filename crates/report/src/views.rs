@@ -4,7 +4,7 @@ use crate::model::{Report, view_name};
 use crate::picture::aim;
 use crate::plots;
 use crate::recorder::SHOWN_ITERATIONS;
-use crate::text::{count, deg, escape, fixed, um};
+use crate::text::{count, deg, escape, fixed, prose, um};
 use crate::timeline::{Magnification, outline};
 use std::fmt::Write as _;
 
@@ -55,7 +55,7 @@ fn summary(r: &Report<'_>, m: &Magnification<'_>) -> String {
             out,
             " In {} the saved view was not recognised; last because of this: {}.",
             count(m.lost.len(), "frame"),
-            escape(&lost.reason)
+            prose(&lost.reason)
         );
     }
     out

@@ -201,9 +201,13 @@ fn measured(r: &Report<'_>, end: &WorkEnd) -> String {
 
 fn gallery(recorder: &Recorder, timeline: &Timeline<'_>, end: &WorkEnd) -> Gallery {
     let mut gallery = Gallery::default();
-    for sequence in timeline.calibrations.iter().flat_map(chain::shown) {
-        if let Some(jpeg) = recorder.calibration_view(sequence) {
-            gallery.add(view_name(sequence), jpeg);
+    for calibrating in &timeline.calibrations {
+        let scale = calibrating.made.map(|(made, ..)| made.um_per_px());
+        for sequence in chain::shown(calibrating) {
+            if let Some(jpeg) = recorder.calibration_view(sequence) {
+                gallery.add(view_name(sequence), jpeg);
+                gallery.scaled(view_name(sequence), scale);
+            }
         }
     }
     // Of a focus that failed the sharpest, of another failure the last image, unless it is there already.
@@ -217,6 +221,7 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>, end: &WorkEnd) -> Galle
     };
     if let Some(jpeg) = picture.and_then(|p| p.jpeg()) {
         gallery.add(name, jpeg);
+        gallery.scaled(name, timeline.active_um_per_px());
     }
     gallery
 }

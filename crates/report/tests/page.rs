@@ -118,6 +118,38 @@ fn an_arrival_shows_everything() {
 }
 
 #[test]
+fn the_page_says_what_it_is_of_and_each_image_how_large_it_is() {
+    let page = page();
+    let shown = without_data(&page);
+    for word in [
+        "simulated",
+        "2026-11-27 04:22 UTC",
+        "mitosis-3, saved 2026-11-24 on upstairs",
+        "x = 12.00 µm, z = -3.10 µm, rotation about z = 0.50°",
+        "Calibration of 400x",
+        "calibrations/400x/000002.json",
+    ] {
+        assert!(shown.contains(word), "{word}");
+    }
+    // Each image wherever it is drawn, and one sign for each unit.
+    let drawn = shown.matches("<use href=\"#").count();
+    assert!(drawn > 10);
+    assert_eq!(shown.matches("class=\"scale\"").count(), drawn);
+    for ascii in [
+        " um ", " um,", " um.", " um<", " deg ", " deg,", " deg<", "-0.00",
+    ] {
+        assert!(!shown.contains(ascii), "{ascii}");
+    }
+    // A list of contents leads to each part.
+    let headings = shown.matches("<h2 id=\"h").count();
+    assert!(headings >= 5);
+    for k in 0..headings {
+        assert!(shown.contains(&format!("<a href=\"#h{k}\">")), "{k}");
+    }
+    assert!(shown.contains("@media print"));
+}
+
+#[test]
 fn without_truth_nothing_is_called_true() {
     let page = html(&arrived().recorder, None, &synthetic::context());
     check(&page);

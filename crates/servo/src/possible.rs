@@ -28,10 +28,11 @@ impl Calibration {
         if let Some([x, y]) = self.rotation_centre_m
             && (x.hypot(y).is_nan() || x.hypot(y) > FARTHEST_M)
         {
-            return Some(format!(
-                "it has the axis of rotation {:.3} m away",
-                x.hypot(y)
-            ));
+            let far = x.hypot(y);
+            return Some(match far < 1e3 {
+                true => format!("it has the axis of rotation {far:.3} m away"),
+                false => format!("it has the axis of rotation {far:e} m away"),
+            });
         }
         if self.covariance.is_some_and(|c| !is_covariance(&c)) {
             return Some("its covariance is that of no numbers".into());

@@ -240,10 +240,13 @@ fn words_of(source: &str, name: &str) -> BTreeSet<String> {
     let names = body.lines().map(str::trim);
     let names = names.filter(|line| line.starts_with(|c: char| c.is_ascii_uppercase()));
     let snake = |name: &str| {
-        let parts = name.trim_end_matches(',').chars().map(|c| match c.is_ascii_uppercase() {
-            true => format!("_{}", c.to_ascii_lowercase()),
-            false => c.to_string(),
-        });
+        let parts = name
+            .trim_end_matches(',')
+            .chars()
+            .map(|c| match c.is_ascii_uppercase() {
+                true => format!("_{}", c.to_ascii_lowercase()),
+                false => c.to_string(),
+            });
         parts.collect::<String>().trim_start_matches('_').to_owned()
     };
     names.map(snake).collect()
@@ -257,7 +260,10 @@ fn every_code_word_and_every_reason_says_what_it_means_and_what_to_do() {
         let (word, rest) = section.split_once('`').unwrap();
         let rest = rest.split("\n## ").next().unwrap();
         for part in ["**What it means.** ", "**What to do.** "] {
-            let said = rest.split(part).nth(1).unwrap_or_else(|| panic!("{word}: {part}"));
+            let said = rest
+                .split(part)
+                .nth(1)
+                .unwrap_or_else(|| panic!("{word}: {part}"));
             assert!(said.len() > 20, "{word}: {part}");
         }
         assert!(sections.insert(word.to_owned()), "{word} twice");

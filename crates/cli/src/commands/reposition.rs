@@ -1,6 +1,7 @@
 //! `scopeservo reposition`.
 
 use super::known_calibrations;
+use super::report::about;
 use crate::answer::Answer;
 use crate::args::RepositionArgs;
 use crate::colour;
@@ -150,18 +151,19 @@ fn keep(
     if ran.output.is_err() {
         return ran.end(None, answer).map(|_| false);
     }
+    let target = opened.library.target(name).map_or_else(
+        |_| name.into(),
+        |kept| format!("{name}, saved {} on {}", kept.saved, kept.instrument),
+    );
     let context = report::Context {
         title: format!("Back to {name}"),
-        instrument: opened.config.name.clone(),
-        simulated: opened.is_simulated(),
-        command: output::command_line(),
-        version: env!("CARGO_PKG_VERSION").into(),
+        target,
         wall_time_s: Some(seconds),
         convergence: Some(report::Convergence {
             position_px: servo.position_px,
             angle_deg: servo.angle_deg,
         }),
-        ..report::Context::default()
+        ..about(opened)
     };
     let page = report::html(&watcher.recorder, None, &context);
     keep_report(out, &page, None, answer);
@@ -212,8 +214,9 @@ fn show_outcome(answer: &Answer, outcome: &Outcome) {
         match (m.iterations, m.inliers, m.error_um, m.error_deg) {
             (Some(n), Some(inliers), Some(um), Some(deg)) => say!(
                 answer,
-                "  {:>4}  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {deg:8.4} deg",
-                m.objective
+                "  {:>4}  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {:>8} deg",
+                m.objective,
+                output::signed(deg, 4)
             ),
             _ => say!(answer, "  {:>4}  {}", m.objective, m.end.replace('_', " ")),
         }
