@@ -4,6 +4,7 @@
 //! command is a warning: on stderr at once, and in the object. A reader who has gone changes nothing: not the work, not the exit code.
 
 use crate::error::{CliError, Code};
+use crate::progress::beside;
 use serde_json::{Map, Value, json};
 use std::fmt;
 use std::io::{self, ErrorKind, Write};
@@ -25,7 +26,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 macro_rules! tell {
     ($($arg:tt)*) => {{
         use std::io::Write as _;
-        let _ = writeln!(std::io::stderr(), $($arg)*);
+        let _ = crate::progress::beside(|| writeln!(std::io::stderr(), $($arg)*));
     }};
 }
 
@@ -76,7 +77,7 @@ impl Answer {
         if self.json || state.unread {
             return;
         }
-        if let Err(error) = print(&line.to_string()) {
+        if let Err(error) = beside(|| print(&line.to_string())) {
             state.unread = true;
             if error.kind() != ErrorKind::BrokenPipe {
                 tell!(
@@ -114,7 +115,7 @@ impl Answer {
     pub(crate) fn or_warn<T>(&self, tried: Result<T, impl Into<CliError>>) -> Option<T> {
         tried
             .map_err(Into::into)
-            .inspect_err(|error| self.warn(error.code(), error))
+            .inspect_err(|error| self.warn(error.code(), error.words()))
             .ok()
     }
 
@@ -143,7 +144,7 @@ impl Answer {
             tell!("scopeservo: {}", error.words());
         }
         if self.json
-            && let Err(error) = print(&state.object(error.as_ref()).to_string())
+            && let Err(error) = beside(|| print(&state.object(error.as_ref()).to_string()))
             && error.kind() != ErrorKind::BrokenPipe
         {
             tell!("scopeservo: the answer could not be written to stdout: {error}");

@@ -1,12 +1,14 @@
 //! The grammar of the command line. One definition gives help and completion.
 
 mod common;
+mod hands;
 mod moving;
 mod target;
 mod twin;
 mod work;
 
 pub(crate) use common::*;
+pub(crate) use hands::*;
 pub(crate) use target::*;
 pub(crate) use twin::*;
 pub(crate) use work::*;
@@ -18,8 +20,8 @@ use std::path::PathBuf;
 /// Brings a motorised microscope back to the exact view you saved.
 #[derive(Debug, Parser)]
 #[command(
+    name = "scopeservo",
     version,
-    about,
     after_help = "Exit codes: 0 arrived, found, done or all checks hold; 3 not found, refused, or a check does not hold; 2 bad input or usage, and \
                   nothing was done; 1 a fault, Ctrl-C, or an answer that could not be kept or told. A reader of the answer who goes \
                   away changes nothing."
@@ -37,6 +39,12 @@ pub(crate) enum Command {
     Register(RegisterArgs),
     /// Write a commented scopeservo.toml to describe your instrument in.
     Init(InitArgs),
+    /// What the instrument says of itself: where the stage stands, which objective is in. Nothing moves.
+    Status(StatusArgs),
+    /// Take one image and keep it as PNG. Nothing moves.
+    Snap(SnapArgs),
+    /// Bring an objective into the beam, within the rules; without a name tell which one is in.
+    Objective(ObjectiveArgs),
     /// Check the instrument, device by device. Nothing moves unless you allow it.
     Doctor(DoctorArgs),
     /// Calibrate objectives: how pixels relate to the stage, measured without a pattern.
@@ -67,9 +75,18 @@ pub(crate) enum Command {
     /// The simulated microscope.
     #[command(subcommand)]
     Twin(TwinCommand),
+    /// Print what a shell needs to complete commands and options.
+    Completions(CompletionsArgs),
+    /// Print the manual page, or write those of all commands into a folder.
+    Man(ManArgs),
 }
 
 impl Command {
+    /// Whether the user may say on how many threads it computes, so that it takes them itself.
+    pub(crate) fn takes_threads(&self) -> bool {
+        matches!(self, Self::Demo(_) | Self::Register(_))
+    }
+
     /// Whether the answer is a JSON object.
     pub(crate) fn wants_json(&self) -> bool {
         match self {
@@ -85,12 +102,18 @@ impl Command {
             Self::Abandon(args) => args.answer.json,
             Self::Stage(StageCommand::Go(args)) => args.answer.json,
             Self::Target(TargetCommand::Save(args)) => args.answer.json,
+            Self::Status(args) => args.answer.json,
+            Self::Snap(args) => args.answer.json,
+            Self::Objective(args) => args.answer.json,
             Self::Target(TargetCommand::List(args)) => args.answer.json,
+            Self::Target(TargetCommand::Show(args)) => args.answer.json,
+            Self::Target(TargetCommand::Rename(args)) => args.answer.json,
+            Self::Target(TargetCommand::Remove(args)) => args.answer.json,
             Self::Target(TargetCommand::Export(args)) => args.answer.json,
             Self::Target(TargetCommand::Import(args)) => args.answer.json,
             Self::Reposition(args) => args.answer.json,
             Self::Driver(DriverCommand::Check(args)) => args.answer.json,
-            Self::Init(_) | Self::Twin(_) => false,
+            Self::Init(_) | Self::Twin(_) | Self::Completions(_) | Self::Man(_) => false,
         }
     }
 }
@@ -107,7 +130,29 @@ pub(crate) fn misused(error: &clap::Error) -> (CliError, bool) {
 
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
+  scopeservo completions bash > ~/.local/share/bash-completion/completions/scopeservo
+  scopeservo completions zsh > ~/.zfunc/_scopeservo
+  scopeservo completions fish > ~/.config/fish/completions/scopeservo.fish
+  scopeservo completions powershell >> $PROFILE")]
+pub(crate) struct CompletionsArgs {
+    /// The shell.
+    pub(crate) shell: clap_complete::Shell,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo man | man -l -
+  scopeservo man --out ~/.local/share/man/man1")]
+pub(crate) struct ManArgs {
+    /// A folder for the pages of all commands, one each.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
   scopeservo init                  for your own instrument: edit it, then run `scopeservo doctor`
+  scopeservo init --ask            asks what it is made of, and writes that
   scopeservo init --twin           for the simulated microscope, ready to use
   scopeservo init --schema > scopeservo.schema.json      for editors that complete and check TOML")]
 pub(crate) struct InitArgs {
@@ -117,8 +162,11 @@ pub(crate) struct InitArgs {
     /// Describe the simulated microscope.
     #[arg(long)]
     pub(crate) twin: bool,
-    /// Print a JSON schema of the file on stdout, for editors, and write nothing.
+    /// Ask what the instrument is made of. Enter takes what stands in brackets.
     #[arg(long, conflicts_with = "twin")]
+    pub(crate) ask: bool,
+    /// Print a JSON schema of the file on stdout, for editors, and write nothing.
+    #[arg(long, conflicts_with_all = ["twin", "ask"])]
     pub(crate) schema: bool,
 }
 

@@ -3,6 +3,7 @@
 use crate::answer::Answer;
 use crate::args::{DemoArgs, Noise};
 use crate::bench::{Bench, displace, save_target};
+use crate::colour;
 use crate::error::CliError;
 use crate::output::{self, DemoJson};
 use crate::progress::Watcher;
@@ -24,6 +25,7 @@ const DEFAULT_OUT: &str = "scopeservo-demo";
 /// Scales that an image from a microscope can have.
 const UM_PER_PX: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 const MAX_SHIFT_UM: f64 = 1e5;
+const MAX_TURN_DEG: f64 = 360.0;
 
 pub(crate) fn run(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
     check(args)?;
@@ -34,8 +36,11 @@ pub(crate) fn run(args: &DemoArgs, answer: &Answer) -> Result<bool, CliError> {
 fn check(args: &DemoArgs) -> Result<(), CliError> {
     let usage = |text: &str| Err(CliError::Usage(text.into()));
     args.moving.options()?;
-    if args.start_deg.is_some_and(|d| !d.is_finite()) {
-        return usage("--start-deg must be a number of degrees");
+    if args
+        .start_deg
+        .is_some_and(|d| !(-MAX_TURN_DEG..=MAX_TURN_DEG).contains(&d))
+    {
+        return usage("--start-deg must be a number of degrees, from -360 to 360");
     }
     if args
         .start_um
@@ -253,7 +258,7 @@ fn page(
         version: env!("CARGO_PKG_VERSION").into(),
         virtual_time: true,
         wall_time_s: Some(started.elapsed().as_secs_f64()),
-        credit: None,
+        date: output::date(),
         convergence: Some(report::Convergence {
             position_px: servo.position_px,
             angle_deg: servo.angle_deg,
@@ -313,7 +318,7 @@ fn hidden_truth(
 }
 
 fn show(answer: &Answer, result: &DemoJson, started: Instant) {
-    let verdict = output::word(result.verdict);
+    let verdict = colour::verdict(output::word(result.verdict), result.verdict.into());
     say!(answer, "{verdict}: {}", result.message);
     say!(
         answer,
@@ -326,8 +331,9 @@ fn show(answer: &Answer, result: &DemoJson, started: Instant) {
         match (m.iterations, m.inliers, m.error_um, m.error_deg) {
             (Some(n), Some(inliers), Some(um), Some(deg)) => say!(
                 answer,
-                "  {:>4}x  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {deg:8.4} deg  {:.4} um/px",
+                "  {:>4}x  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {:>8} deg  {:.4} um/px",
                 m.magnification,
+                output::signed(deg, 4),
                 m.calibration.um_per_px
             ),
             _ => say!(answer, "  {:>4}x  the target was not seen", m.magnification),

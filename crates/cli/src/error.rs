@@ -168,6 +168,12 @@ impl CliError {
             Self::Library(LibraryError::NoTarget { known, .. }) if known.is_empty() => {
                 return format!("{self}: `scopeservo target save NAME`");
             }
+            Self::Library(LibraryError::DamagedCalibration { objective, .. }) => {
+                return format!(
+                    "{self}: `scopeservo calibrate --objective {}`",
+                    shell(objective)
+                );
+            }
             Self::Setup(error) => error.remedy().map(Remedy::Scope),
             _ => None,
         };
@@ -193,6 +199,15 @@ impl CliError {
     }
 }
 
+/// A word as a command line takes it.
+pub(crate) fn shell(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:".contains(c);
+    match !word.is_empty() && word.chars().all(plain) {
+        true => word.into(),
+        false => format!("'{}'", word.replace('\'', "'\\''")),
+    }
+}
+
 fn library_code(error: &LibraryError) -> Code {
     match error {
         LibraryError::BadName(_) | LibraryError::Taken { .. } | LibraryError::NoTarget { .. } => {
@@ -201,7 +216,7 @@ fn library_code(error: &LibraryError) -> Code {
         LibraryError::CannotWrite { .. } => Code::CannotWrite,
         LibraryError::NotKept { .. } => Code::NotKept,
         LibraryError::Read { .. } => Code::CannotRead,
-        LibraryError::Damaged { .. } => Code::Damaged,
+        LibraryError::Damaged { .. } | LibraryError::DamagedCalibration { .. } => Code::Damaged,
         _ => Code::Internal,
     }
 }

@@ -12,14 +12,19 @@ mod asking;
 mod beginning;
 mod bench;
 mod calibrations;
+mod colour;
 mod commands;
 mod console;
 mod demo;
 mod doctor;
 mod driver_check;
 mod error;
+mod hands;
 mod init;
+mod interview;
 mod journal;
+mod manual;
+mod nearby;
 mod open_instrument;
 mod output;
 mod progress;
@@ -61,6 +66,9 @@ fn main() -> ExitCode {
 
 /// Whether it answered, and what was hoped for.
 fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
+    if !command.takes_threads() {
+        threads::take_threads(None)?;
+    }
     let signalled = answer.clone();
     ctrlc::set_handler(move || signalled.interrupt())
         .map_err(|e| CliError::Internal(format!("Ctrl-C could not be provided for: {e}")))?;
@@ -68,6 +76,11 @@ fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
         Command::Demo(args) => demo::run(&args, answer),
         Command::Register(args) => register::run(&args, answer),
         Command::Init(args) => init::run(&args, answer),
+        Command::Status(args) => hands::status(&args, answer),
+        Command::Snap(args) => hands::snap(&args, answer),
+        Command::Objective(args) => hands::objective(&args, answer),
+        Command::Completions(args) => manual::completions(&args, answer),
+        Command::Man(args) => manual::pages(&args, answer),
         Command::Doctor(args) => doctor::run(&args, answer),
         Command::Calibrate(args) => commands::calibrate(&args, answer),
         Command::Focus(args) => commands::focus(&args, answer),
@@ -77,6 +90,9 @@ fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
         Command::Stage(StageCommand::Go(args)) => stage::go(&args, answer),
         Command::Target(TargetCommand::Save(args)) => commands::save_target(&args, answer),
         Command::Target(TargetCommand::List(args)) => targets::list_targets(&args, answer),
+        Command::Target(TargetCommand::Show(args)) => targets::show_target(&args, answer),
+        Command::Target(TargetCommand::Rename(args)) => targets::rename_target(&args, answer),
+        Command::Target(TargetCommand::Remove(args)) => targets::remove_targets(&args, answer),
         Command::Target(TargetCommand::Export(args)) => targets::export_target(&args, answer),
         Command::Target(TargetCommand::Import(args)) => targets::import_target(&args, answer),
         Command::Reposition(args) => commands::reposition(&args, answer),

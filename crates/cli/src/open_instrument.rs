@@ -7,7 +7,7 @@ use crate::beginning;
 use crate::console::{Console, Late, Told};
 use crate::error::{CliError, Code};
 use crate::journal::{self, Asked, FileJournal, Made};
-use crate::progress::Watcher;
+use crate::progress::{self, Watcher};
 use scopeservo_library::{
     Cameras as _, Folder, Journal as _, Journalled, Nosepieces as _, RunHead, RunLog, Runs as _,
 };
@@ -87,7 +87,27 @@ pub(crate) fn stop_on_interrupt(cancel: &CancelToken, answer: &Answer) -> StopHa
 }
 
 impl OpenInstrument {
+    /// The instrument, homed where it needs that and the user agreed.
     pub(crate) fn open(args: &InstrumentArgs, answer: &Answer) -> Result<Self, CliError> {
+        let (opened, consent) = Self::connected(args, answer)?;
+        // Told like every other motion.
+        home_if_needed(&opened.scope, &consent)?;
+        Ok(opened)
+    }
+
+    /// The instrument as it is, for a look at it: nothing is homed.
+    pub(crate) fn look(args: &InstrumentArgs, answer: &Answer) -> Result<Self, CliError> {
+        Ok(Self::connected(args, answer)?.0)
+    }
+
+    fn connected(args: &InstrumentArgs, answer: &Answer) -> Result<(Self, Consent), CliError> {
+        let bar = progress::spinner("opening the instrument".into());
+        let opened = Self::connect(args, answer);
+        bar.finish_and_clear();
+        opened
+    }
+
+    fn connect(args: &InstrumentArgs, answer: &Answer) -> Result<(Self, Consent), CliError> {
         let config = Config::read(&args.description.config)?;
         let held = Held::data(&config)?;
         let library = Arc::new(Folder::new(config.resolve(&config.data_folder)));
@@ -117,9 +137,7 @@ impl OpenInstrument {
                 goes.goes(to);
             }
         })?;
-        // Told like every other motion.
-        home_if_needed(&scope, &consent)?;
-        Ok(Self {
+        let opened = Self {
             config,
             library,
             scope,
@@ -128,16 +146,38 @@ impl OpenInstrument {
             switchings,
             journal,
             _held: held,
-        })
+        };
+        Ok((opened, consent))
     }
 
-    /// Whether stage or camera are simulated.
+    /// Whether stage or camera are simulated, by our own description or by what a driver calls them.
     pub(crate) fn is_simulated(&self) -> bool {
         let devices = &self.config.devices;
-        [&devices.stage, &devices.camera].into_iter().any(|name| {
+        let described = [&devices.stage, &devices.camera].into_iter().any(|name| {
             let driver = self.config.drivers.get(name);
             driver.is_some_and(|driver| driver.twin.is_some())
-        })
+        });
+        let names = [
+            &self.scope.gate().info().name,
+            &self.scope.camera().info().name,
+        ];
+        let told = names
+            .iter()
+            .any(|name| name.to_lowercase().contains("simulated"));
+        described || told
+    }
+
+    /// What lies under a simulated microscope; nobody knows it of another.
+    pub(crate) fn specimen(&self) -> String {
+        let driver = self.config.drivers.get(&self.config.devices.camera);
+        let Some(twin) = driver.and_then(|driver| driver.twin.as_ref()) else {
+            return String::new();
+        };
+        match (&twin.specimen, &twin.made) {
+            (Some(file), _) => file.display().to_string(),
+            (None, Some(_)) => "a specimen made up as described".into(),
+            (None, None) => format!("procedural tissue, seed {}", twin.seed),
+        }
     }
 
     /// Whether nothing that was killed waits to go on; else an error tells where things stand.

@@ -29,6 +29,26 @@ pub(crate) fn command_line() -> String {
         .join(" ")
 }
 
+/// Now, for people: 2026-11-24 20:15 UTC.
+pub(crate) fn date() -> String {
+    readable(&scopeservo_library::utc(std::time::SystemTime::now()))
+}
+
+/// A moment as files have it, 2026-11-24T20:15:00Z, for people.
+pub(crate) fn readable(utc: &str) -> String {
+    let minute = utc.get(..16).map(|t| t.replace('T', " "));
+    minute.map_or_else(|| utc.into(), |t| format!("{t} UTC"))
+}
+
+/// A number of so many decimals, without a sign of nothing.
+pub(crate) fn signed(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    match text.strip_prefix('-') {
+        Some(rest) if rest.bytes().all(|b| matches!(b, b'0' | b'.')) => rest.into(),
+        _ => text,
+    }
+}
+
 #[derive(Debug, Serialize)]
 pub(crate) struct DemoJson {
     pub(crate) verdict: Verdict,
@@ -222,4 +242,22 @@ pub(crate) fn changes_in_words(changes: &[Change]) -> String {
     let told = changes.iter().filter(|c| !of_axes(c) || c.sigmas() > 3.0);
     let all: Vec<String> = told.map(change_in_words).collect();
     all.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_has_no_sign() {
+        for (value, text) in [
+            (-0.00001, "0.0000"),
+            (-0.0, "0.0000"),
+            (-0.00006, "-0.0001"),
+            (0.00001, "0.0000"),
+            (-1.5, "-1.5000"),
+        ] {
+            assert_eq!(signed(value, 4), text);
+        }
+    }
 }

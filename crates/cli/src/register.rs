@@ -2,6 +2,7 @@
 
 use crate::answer::Answer;
 use crate::args::RegisterArgs;
+use crate::colour::{self, Hope};
 use crate::error::CliError;
 use crate::output::RegisterJson;
 use crate::threads::with_threads;
@@ -224,7 +225,12 @@ fn show(answer: &Answer, json: &RegisterJson) {
             );
         }
     }
-    let verdict = json.verdict.replace('_', " ");
+    let hope = match json.verdict {
+        "found" => Hope::Held,
+        "not_found" => Hope::Failed,
+        _ => Hope::Partly,
+    };
+    let verdict = colour::verdict(&json.verdict.replace('_', " "), hope);
     say!(answer, "{verdict}: {}", json.message);
     for t in json
         .target_from_view

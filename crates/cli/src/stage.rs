@@ -4,7 +4,7 @@ use crate::answer::Answer;
 use crate::args::{PlaceArgs, StageGoArgs};
 use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
-use indicatif::ProgressBar;
+use crate::progress;
 use scopeservo_protocol::Place;
 use scopeservo_scope::{Axis, StagePose};
 use serde_json::json;
@@ -39,7 +39,7 @@ pub(crate) fn go(args: &StageGoArgs, answer: &Answer) -> Result<bool, CliError> 
     opened.tell_what_waits(answer);
     let gate = opened.scope.gate();
     let from = gate.position()?;
-    let bar = ProgressBar::new_spinner();
+    let bar = progress::spinner(format!("on the way to {to}"));
     let at = std::thread::scope(|s| {
         let (done, ended) = mpsc::channel::<()>();
         let bar = &bar;
@@ -48,7 +48,6 @@ pub(crate) fn go(args: &StageGoArgs, answer: &Answer) -> Result<bool, CliError> 
                 // What is wrong is said by whoever moves.
                 if let Ok(at) = gate.position() {
                     bar.set_message(format!("on the way, at {at}"));
-                    bar.tick();
                 }
             }
         });

@@ -89,19 +89,29 @@ fn the_objective_that_alone_is_off_is_named_and_all_that_is_kept_is_told() {
         "{scale}"
     );
 
-    // What cannot be is told, and nothing is done by it.
+    // What cannot be is told, and nothing is done by it: the other objective is checked all the same, and all are not good.
     let impossible = keep_changed(here, |c| c["scatter"] = serde_json::json!([-1e-7, 0, 0]));
-    let refused = scopeservo(here, &check);
+    let partly = scopeservo(here, &check);
+    assert_eq!(code(&partly), 3, "{}", stderr(&partly));
+    let partly = json(&partly);
+    assert_eq!(partly["checked"].as_array().unwrap().len(), 1, "{partly}");
+    assert_eq!(partly["checked"][0]["verdict"], "good");
+    assert_eq!(partly["ok"], false);
+    let warning = partly["warnings"][0].clone();
+    assert_eq!(warning["code"], "damaged");
+    // The cure is named: the older one that can be used, and the command that makes another.
+    for word in [
+        "standard deviation",
+        "for the one before to count, scopeservo-data/calibrations/40x/000001_",
+        "`scopeservo calibrate --objective 40x`",
+    ] {
+        let said = warning["message"].as_str().unwrap();
+        assert!(said.contains(word), "{word}: {said}");
+    }
+    // Asked for by its name it is the answer.
+    let refused = scopeservo(here, &[&check[..], &["--objective", "40x"]].concat());
     assert_eq!(code(&refused), 2);
-    let said = json(&refused)["error"].clone();
-    assert_eq!(said["code"], "damaged");
-    assert!(
-        said["message"]
-            .as_str()
-            .unwrap()
-            .contains("standard deviation"),
-        "{said}"
-    );
+    assert_eq!(json(&refused)["error"]["code"], "damaged");
     let history = ok(here, &["calibrations", "--json"]);
     assert_eq!(history["history"].as_array().unwrap().len(), 2);
     let name = impossible.file_name().unwrap().to_str().unwrap();

@@ -4,7 +4,7 @@ use crate::LibraryError;
 use crate::files::make_folder;
 use crate::folder::{Folder, SCHEMA, entries, is_json, read, to_json, write_numbered};
 use crate::names::{file_name, number_of, utc};
-use scopeservo_scope::{Length, Objective, ObjectiveId};
+use scopeservo_scope::{AxisRange, Length, Objective, ObjectiveId};
 use scopeservo_servo::{CalibrateOptions, Calibration};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -27,8 +27,12 @@ pub struct KeptCalibration {
     pub residual_px: Option<f64>,
 }
 
-/// Whether a calibration can be one of this objective: by the rules that a new one must pass.
-fn judge(calibration: &Calibration, objective: &Objective) -> Result<(), String> {
+/// Whether a calibration can be one of this objective on a stage that goes so far: by the rules that a new one must pass.
+fn judge(
+    calibration: &Calibration,
+    objective: &Objective,
+    ranges: &[AxisRange],
+) -> Result<(), String> {
     let rules = CalibrateOptions::default();
     let [large, small] = calibration.stage_from_pixel.svd().s;
     let (measured, nominal) = (calibration.um_per_px(), objective.nominal_um_per_px);
@@ -39,7 +43,8 @@ fn judge(calibration: &Calibration, objective: &Objective) -> Result<(), String>
             calibration.objective, objective.id
         ));
     }
-    if let Some(what) = calibration.impossible() {
+    let impossible = calibration.impossible();
+    if let Some(what) = impossible.or_else(|| calibration.out_of_reach(ranges)) {
         return Err(what);
     }
     if factor > rules.nominal_factor {
@@ -67,11 +72,16 @@ pub struct CalibrationFile {
 
 /// The calibrations of an instrument.
 pub trait Calibrations {
-    /// The newest calibration of an objective. One that is damaged is none: an error tells which, and the others count all the same.
+    /// The newest calibration of an objective on a stage whose axes go so far. One that is damaged is none: an error tells which, what to do, and
+    /// which older one could be used; other objectives are as they were.
     ///
     /// # Errors
-    /// [`LibraryError::Read`], [`LibraryError::Damaged`].
-    fn calibration(&self, objective: &Objective) -> Result<Option<KeptCalibration>, LibraryError>;
+    /// [`LibraryError::Read`] for a folder, [`LibraryError::DamagedCalibration`].
+    fn calibration(
+        &self,
+        objective: &Objective,
+        ranges: &[AxisRange],
+    ) -> Result<Option<KeptCalibration>, LibraryError>;
 
     /// Where the newest calibration of an objective lies.
     ///
@@ -130,19 +140,42 @@ fn kept_in(path: PathBuf) -> CalibrationFile {
     CalibrationFile { path, kept }
 }
 
+/// What a file holds, where that can be a calibration of this objective; else what is wrong with it.
+fn judged(
+    path: &Path,
+    objective: &Objective,
+    ranges: &[AxisRange],
+) -> Result<KeptCalibration, String> {
+    let kept: KeptCalibration = read(path).map_err(|error| match error {
+        LibraryError::Read { what, .. } => what,
+        LibraryError::Damaged { what, .. } => what,
+        error => error.to_string(),
+    })?;
+    judge(&kept.calibration, objective, ranges)?;
+    Ok(kept)
+}
+
 impl Calibrations for Folder {
-    fn calibration(&self, objective: &Objective) -> Result<Option<KeptCalibration>, LibraryError> {
-        let Some(path) = self.calibration_path(&objective.id)? else {
+    fn calibration(
+        &self,
+        objective: &Objective,
+        ranges: &[AxisRange],
+    ) -> Result<Option<KeptCalibration>, LibraryError> {
+        let mut files = in_order(&self.calibrations_of(&objective.id))?;
+        let Some(path) = files.pop() else {
             return Ok(None);
         };
-        let kept: KeptCalibration = read(&path)?;
-        let what = match judge(&kept.calibration, objective) {
-            Ok(()) => return Ok(Some(kept)),
-            Err(what) => {
-                format!("{what}. Move it away for the one before to count, or calibrate again")
-            }
+        let what = match judged(&path, objective, ranges) {
+            Ok(kept) => return Ok(Some(kept)),
+            Err(what) => what,
         };
-        Err(LibraryError::Damaged { path, what })
+        let is_sound = |path: &PathBuf| judged(path, objective, ranges).is_ok();
+        Err(LibraryError::DamagedCalibration {
+            path,
+            what,
+            objective: objective.id.0.clone(),
+            before: files.into_iter().rev().find(is_sound),
+        })
     }
 
     fn calibration_path(&self, objective: &ObjectiveId) -> Result<Option<PathBuf>, LibraryError> {
@@ -222,7 +255,7 @@ mod tests {
     fn the_newest_calibration_counts_and_the_older_ones_stay() {
         let dir = tempfile::tempdir().unwrap();
         let folder = Folder::new(dir.path().join("data"));
-        let newest = || folder.calibration(&objective());
+        let newest = || folder.calibration(&objective(), &[]);
         assert_eq!(newest().unwrap(), None);
         let z = Some(Length::from_um(-12.5));
         // One from before files were numbered, and from a clock that was ahead; and one with a number that cannot be counted on from.
@@ -258,15 +291,58 @@ mod tests {
         for (text, said) in [
             ("{\"schema\":1,", "is damaged"),
             ("{}", "is damaged"),
+            ("", "is damaged"),
             ("{\"schema\":7}", "schema 7"),
         ] {
             fs::write(&files[2], text).unwrap();
             let damaged = newest().unwrap_err().to_string();
             assert!(damaged.contains(said), "{damaged}");
             assert!(damaged.contains(files[2].to_str().unwrap()), "{damaged}");
+            // The older one that can be used is offered, and not one that is damaged as well.
+            let cure = format!(
+                "Move it away for the one before to count, {}, or calibrate Plan 40x/0.65 again",
+                files[1].display()
+            );
+            assert!(damaged.ends_with(&cure), "{damaged}");
         }
+        // One that can be read and is of another scale than is engraved.
+        let off = folder.keep_calibration("lab", &calibration(0.4), z, None);
+        let off = off.unwrap();
+        let said = newest().unwrap_err().to_string();
+        assert!(
+            said.contains("0.400 um per pixel where 0.200 is engraved"),
+            "{said}"
+        );
+        assert!(said.contains(files[1].to_str().unwrap()), "{said}");
+        fs::remove_file(off).unwrap();
         fs::remove_file(&files[2]).unwrap();
         assert_eq!(newest().unwrap().unwrap().calibration, calibration(0.2));
+        for older in &files[..2] {
+            fs::write(older, "{}").unwrap();
+        }
+        let none = newest().unwrap_err().to_string();
+        assert!(
+            none.ends_with("Move it away, or calibrate Plan 40x/0.65 again"),
+            "{none}"
+        );
+    }
+
+    #[test]
+    fn a_damaged_file_of_one_objective_hides_no_other() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        let kept = folder.keep_calibration("lab", &calibration(0.2), None, None);
+        kept.unwrap();
+        for (stray, text) in [("10x", "{}"), ("notes", "no json"), ("CON", "")] {
+            let stray = folder.calibrations_of(&ObjectiveId(stray.into()));
+            fs::create_dir_all(&stray).unwrap();
+            fs::write(stray.join("000009_x.json"), text).unwrap();
+        }
+        let newest = folder.calibration(&objective(), &[]).unwrap().unwrap();
+        assert_eq!(newest.calibration, calibration(0.2));
+        let all = folder.calibration_history().unwrap();
+        let sound = all.iter().flatten().filter(|f| f.kept.is_ok()).count();
+        assert_eq!((all.len(), sound), (4, 1));
     }
 
     #[test]
@@ -288,7 +364,7 @@ mod tests {
             backlash: None,
             scatter: None,
         };
-        assert_eq!(judge(&sound, &objective), Ok(()));
+        assert_eq!(judge(&sound, &objective, &[]), Ok(()));
         let scaled = |f: f64| Mat2(sound.stage_from_pixel.0.map(|row| row.map(|v| f * v)));
         for map in [
             Mat2::diagonal(0.0, 0.0),
@@ -305,16 +381,16 @@ mod tests {
                 stage_from_pixel: map,
                 ..sound.clone()
             };
-            assert!(judge(&damaged, &objective).is_err(), "{map:?}");
+            assert!(judge(&damaged, &objective, &[]).is_err(), "{map:?}");
         }
         let mut damaged = sound.clone();
         damaged.rotation_centre_m = Some([1e308, 0.0]);
-        assert!(judge(&damaged, &objective).is_err());
+        assert!(judge(&damaged, &objective, &[]).is_err());
         damaged = sound.clone();
         damaged.covariance = Some([[-1.0; 6]; 6]);
-        assert!(judge(&damaged, &objective).is_err());
+        assert!(judge(&damaged, &objective, &[]).is_err());
         damaged = sound;
         damaged.objective = ObjectiveId("40x".into());
-        assert!(judge(&damaged, &objective).is_err());
+        assert!(judge(&damaged, &objective, &[]).is_err());
     }
 }

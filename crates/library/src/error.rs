@@ -63,6 +63,18 @@ pub enum LibraryError {
         /// What is wrong with it, and what to do.
         what: String,
     },
+    /// A calibration that is not what was kept, or cannot be one of this objective.
+    #[error("{path} is damaged: {what}. {}", cure(objective, before.as_deref()))]
+    DamagedCalibration {
+        /// The newest file of the objective.
+        path: PathBuf,
+        /// What is wrong with it.
+        what: String,
+        /// The objective.
+        objective: String,
+        /// The newest of the older ones that can be used.
+        before: Option<PathBuf>,
+    },
     /// Something could not be made into a file: a mistake of ours.
     #[error("a file could not be made: {0}")]
     Encode(String),
@@ -72,6 +84,16 @@ fn known_names(known: &[String]) -> String {
     match known.is_empty() {
         true => "none is saved yet".into(),
         false => format!("there are {}", known.join(", ")),
+    }
+}
+
+fn cure(objective: &str, before: Option<&Path>) -> String {
+    match before {
+        Some(before) => format!(
+            "Move it away for the one before to count, {}, or calibrate {objective} again",
+            before.display()
+        ),
+        None => format!("Move it away, or calibrate {objective} again"),
     }
 }
 

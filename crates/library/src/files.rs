@@ -3,6 +3,7 @@
 //! A file is written beside its place under a temporary name, locked while somebody works at it, reaches the disk, and only then gets
 //! its name; then its folder reaches the disk too. What killed programs left is swept when the next file is written there.
 
+use sha2::{Digest, Sha256};
 use std::fs::{self, File, Metadata};
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
@@ -78,8 +79,14 @@ pub fn lock(folder: &Path) -> Option<File> {
     file.lock().ok().map(|()| file)
 }
 
+/// The SHA-256 of a file's bytes, as `sha256sum` writes it.
+pub(crate) fn checksum(bytes: &[u8]) -> String {
+    let digest = Sha256::digest(bytes);
+    digest.iter().map(|b| format!("{b:02x}")).collect()
+}
+
 /// A link that leads nowhere is there too: nothing can be made under its name.
-fn is_there(path: &Path) -> bool {
+pub(crate) fn is_there(path: &Path) -> bool {
     path.symlink_metadata().is_ok()
 }
 

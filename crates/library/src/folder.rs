@@ -2,13 +2,13 @@
 
 use crate::LibraryError;
 use crate::files::{self, write_new};
-use crate::names::number_of;
+use crate::names::{next_number, number_of};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder as _};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use std::fs;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 /// Version of the files in JSON.
 pub(crate) const SCHEMA: u32 = 1;
@@ -96,6 +96,15 @@ pub(crate) fn to_png(
     Ok(png)
 }
 
+/// What a folder takes no more files for.
+pub(crate) fn no_number(folder: &Path) -> io::Error {
+    let what = format!(
+        "the last number is taken in {}: move the file with it away",
+        folder.display()
+    );
+    io::Error::other(what)
+}
+
 /// Writes a file beside those of a folder, under the next number and the moment it was `made`. Returns where it lies.
 ///
 /// # Errors
@@ -107,7 +116,9 @@ pub(crate) fn write_numbered(
 ) -> Result<PathBuf, LibraryError> {
     loop {
         let last = entries(folder)?.iter().map(|p| number_of(p)).max();
-        let number = last.unwrap_or(0) + 1;
+        let number = next_number(last)
+            .ok_or_else(|| no_number(folder))
+            .map_err(LibraryError::not_kept(folder))?;
         let path = folder.join(format!("{number:06}_{}.json", made.replace(':', "-")));
         // Another process may make one at the same time: whichever comes second takes the next number.
         if write_new(&path, bytes).map_err(LibraryError::not_kept(&path))? {

@@ -4,10 +4,9 @@
 //! frame, are files of their own under their checksum, written once, so that a step writes little.
 
 use crate::LibraryError;
-use crate::files::{self, make_folder};
+use crate::files::{self, checksum, make_folder};
 use crate::folder::{Folder, SCHEMA, read, to_json};
 use crate::names::file_name;
-use crate::target_file::checksum;
 use scopeservo_scope::{ObjectiveId, StagePose};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};

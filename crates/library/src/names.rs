@@ -1,6 +1,7 @@
 //! What things are called on disk, and when they were made.
 
 use crate::LibraryError;
+use crate::files::checksum;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -9,20 +10,25 @@ const DEVICES: [&str; 4] = ["CON", "PRN", "AUX", "NUL"];
 /// With it a file's name stays within what every file system takes.
 const LONGEST_NAME: usize = 100;
 
-/// Refuses a name under which a target could not be found again: on another system, or by a command line.
-pub(crate) fn check_name(name: &str) -> Result<(), LibraryError> {
+/// Whether some systems have a device of that name, whatever follows a dot.
+fn is_device(name: &str) -> bool {
     let stem = name.split('.').next().unwrap_or(name).to_ascii_uppercase();
     let port = |s: &str| {
         let number = s.strip_prefix("COM").or_else(|| s.strip_prefix("LPT"));
         number.is_some_and(|n| n.len() == 1 && n.chars().all(|c| c.is_ascii_digit()))
     };
+    DEVICES.contains(&stem.as_str()) || port(&stem)
+}
+
+/// Refuses a name under which a target could not be found again: on another system, or by a command line.
+pub(crate) fn check_name(name: &str) -> Result<(), LibraryError> {
     let why = if name.len() > LONGEST_NAME {
         format!("it has more than {LONGEST_NAME} characters")
     } else if name.starts_with('-') {
         "a command would take it for an option".into()
     } else if name.ends_with('.') {
         "some systems drop a dot at the end".into()
-    } else if DEVICES.contains(&stem.as_str()) || port(&stem) {
+    } else if is_device(name) {
         "some systems have a device of that name".into()
     } else {
         return Ok(());
@@ -33,23 +39,41 @@ pub(crate) fn check_name(name: &str) -> Result<(), LibraryError> {
     )))
 }
 
+/// The last number that files are given.
+const LAST: u64 = 999_999_999;
+
+/// The number after the `last` one that is taken; `None` when none is left.
+pub(crate) fn next_number(last: Option<u64>) -> Option<u64> {
+    let next = last.unwrap_or(0) + 1;
+    (next <= LAST).then_some(next)
+}
+
 /// The number before a file's time; 0 for one without, and for one that no counting comes to.
 pub(crate) fn number_of(path: &Path) -> u64 {
     let stem = path.file_stem().and_then(|s| s.to_str());
     let number = stem.and_then(|s| s.split_once('_')).map(|(n, _)| n.parse());
-    let counted = number.and_then(Result::ok).filter(|n| *n < 1_000_000_000);
+    let counted = number.and_then(Result::ok).filter(|n| *n <= LAST);
     counted.unwrap_or(0)
 }
 
-/// A name as a file's: what is no letter or digit as its number.
+/// A name as a file's: what is no letter or digit as its number, so that two names are never one file where case counts. One that would be a
+/// device's, or is longer than file systems take, ends in its checksum.
 pub(crate) fn file_name(name: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
-    name.chars()
+    let whole: String = name
+        .chars()
         .map(|c| match plain(c) {
             true => c.to_string(),
             false => format!("%{:x}", u32::from(c)),
         })
-        .collect()
+        .collect();
+    match whole.len() > LONGEST_NAME || is_device(&whole) || whole.is_empty() {
+        true => {
+            let begins: String = whole.chars().take(LONGEST_NAME / 2).collect();
+            format!("{begins}%{}", &checksum(name.as_bytes())[..16])
+        }
+        false => whole,
+    }
 }
 
 /// A moment in UTC, to the second: 2026-11-24T20:15:00Z.
@@ -103,10 +127,63 @@ mod tests {
     }
 
     #[test]
+    fn what_things_are_called_on_disk_is_a_name_everywhere_and_their_own() {
+        let long = "ö".repeat(200);
+        let longer = format!("{long}x");
+        let names = [
+            "40x",
+            "40X",
+            "Plan 40x/0.65",
+            "CON",
+            "con",
+            "nul",
+            "COM1",
+            "..",
+            ".",
+            "",
+            "-rf",
+            "a.",
+            "a ",
+            "mikroskop \u{1f52c}",
+            "e\u{301}",
+            "\u{e9}",
+            "a\u{7}b",
+            "a/b",
+            "a\\b",
+            &long,
+            &longer,
+        ];
+        let mut files: Vec<String> = names.iter().map(|name| file_name(name)).collect();
+        for (name, file) in names.iter().zip(&files) {
+            let portable = |c: char| c.is_ascii_alphanumeric() || "-_%".contains(c);
+            assert!(
+                file.chars().all(portable) && (1..=120).contains(&file.len()),
+                "{name:?}: {file}"
+            );
+            assert!(!is_device(file), "{name:?}: {file}");
+        }
+        assert_eq!(files[2], "Plan%2040x%2f0%2e65");
+        files.sort();
+        files.dedup();
+        assert_eq!(files.len(), names.len());
+    }
+
+    #[test]
     fn a_number_that_no_counting_comes_to_is_none() {
         assert_eq!(number_of(Path::new("000042_2026.json")), 42);
-        for none in ["2026-11-24.json", "18446744073709551615_x.json", "x_1.json"] {
+        for none in [
+            "2026-11-24.json",
+            "18446744073709551615_x.json",
+            "18446744073709551616_x.json",
+            "1000000000_x.json",
+            "-1_x.json",
+            "x_1.json",
+        ] {
             assert_eq!(number_of(Path::new(none)), 0, "{none}");
         }
+        assert_eq!(next_number(None), Some(1));
+        assert_eq!(next_number(Some(41)), Some(42));
+        assert_eq!(next_number(Some(LAST - 1)), Some(LAST));
+        assert_eq!(next_number(Some(LAST)), None);
     }
 }

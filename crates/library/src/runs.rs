@@ -2,8 +2,8 @@
 
 use crate::LibraryError;
 use crate::files::{self, make_folder};
-use crate::folder::{Folder, SCHEMA, entries, to_json};
-use crate::names::{file_name, number_of, utc};
+use crate::folder::{Folder, SCHEMA, entries, no_number, to_json};
+use crate::names::{file_name, next_number, number_of, utc};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::fs::{self, File};
@@ -88,7 +88,10 @@ impl Runs for Folder {
         let name = format!("{}_{}", began.replace(':', "-"), file_name(&head.job));
         let folder = loop {
             let last = self.runs()?.iter().map(|p| number_of(p)).max();
-            let folder = runs.join(format!("{:06}_{name}", last.unwrap_or(0) + 1));
+            let number = next_number(last)
+                .ok_or_else(|| no_number(&runs))
+                .map_err(LibraryError::not_kept(&runs))?;
+            let folder = runs.join(format!("{number:06}_{name}"));
             // Another program may begin one at the same time: whichever comes second takes the next number.
             match fs::create_dir(&folder) {
                 Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {}

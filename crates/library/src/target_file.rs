@@ -9,6 +9,7 @@
 //! | `features.bin` | the features and the name of their engine, little endian: "SSF2", length of the name (u32), name, width, height, count, form (0 bytes, 1 bits, 2 floats), components (u32), then for each x, y, sigma, angle, response (f32), octave (i8), layer (u8), bright (u8), 0, and the components (u8 or f32) |
 //! | `SHA256SUMS` | the checksums of all others, as `sha256sum --check` reads them; its own is the target's id |
 
+use crate::files::checksum;
 use crate::folder::to_png;
 use crate::{LibraryError, cameras};
 use image::{DynamicImage, ExtendedColorType};
@@ -18,7 +19,6 @@ use scopeservo_scope::{
 };
 use scopeservo_servo::{Calibration, Picture, Taken, Target, TargetQuality};
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::io::Read as _;
 use std::sync::Arc;
@@ -231,11 +231,6 @@ fn check(members: &BTreeMap<String, Vec<u8>>) -> Result<String, String> {
         }
     }
     Ok(checksum(sums))
-}
-
-pub(crate) fn checksum(bytes: &[u8]) -> String {
-    let digest = Sha256::digest(bytes);
-    digest.iter().map(|b| format!("{b:02x}")).collect()
 }
 
 fn taken(

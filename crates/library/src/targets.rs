@@ -1,7 +1,7 @@
 //! Saved views. A name is given once, each target is one file that can be copied to another library, and its image lies beside it for
 //! people.
 
-use crate::files::{self, make_folder, write_new};
+use crate::files::{self, is_there, make_folder, write_new};
 use crate::folder::{Folder, entries, is_json, read, to_png};
 use crate::names::{check_name, utc};
 use crate::{KeptTarget, LibraryError, target_file};
@@ -15,6 +15,9 @@ use std::time::{Duration, SystemTime};
 
 /// How a target's file ends.
 const ENDING: &str = "target";
+
+/// Where those lie that were taken out.
+const REMOVED: &str = "removed";
 
 /// Schema 1: JSON, the features and a grey image in it.
 #[derive(Deserialize)]
@@ -72,6 +75,19 @@ pub trait Targets {
         target: Target,
         frame: &Frame,
     ) -> Result<PathBuf, LibraryError>;
+
+    /// Gives a target another name. Whenever a program is killed meanwhile it is there under one of the two, or under both.
+    ///
+    /// # Errors
+    /// [`LibraryError::NoTarget`], [`LibraryError::Taken`], [`LibraryError::BadName`], [`LibraryError::Read`], [`LibraryError::NotKept`]. A
+    /// damaged one keeps its name, so that what is left of it is not lost track of.
+    fn rename_target(&self, name: &str, to: &str) -> Result<PathBuf, LibraryError>;
+
+    /// Takes a target out of the library: it lies in a folder beside the others, from which it can be taken in again. Returns where.
+    ///
+    /// # Errors
+    /// [`LibraryError::NoTarget`], [`LibraryError::BadName`], [`LibraryError::NotKept`].
+    fn remove_target(&self, name: &str) -> Result<PathBuf, LibraryError>;
 
     /// Writes a target into a file of its own, which any library can take in; never over another file.
     ///
@@ -136,7 +152,8 @@ impl Folder {
     fn existing(&self, name: &str) -> Result<Option<PathBuf>, LibraryError> {
         let path = self.target_file(name)?;
         let first = self.targets().join(format!("{name}.json"));
-        Ok([path, first].into_iter().find(|p| p.exists()))
+        // A link that leads nowhere has the name, and is told as what it is.
+        Ok([path, first].into_iter().find(|p| is_there(p)))
     }
 }
 
@@ -219,6 +236,53 @@ impl Targets for Folder {
         self.keep(name, &bytes, Some(frame))
     }
 
+    fn rename_target(&self, name: &str, to: &str) -> Result<PathBuf, LibraryError> {
+        let from = self.target_path(name)?;
+        if name.eq_ignore_ascii_case(to) {
+            return Err(taken(name, from));
+        }
+        self.check_new_target(to)?;
+        read_target(&from)?;
+        let bytes = fs::read(&from).map_err(LibraryError::read(&from))?;
+        let extension = from.extension().unwrap_or_default().to_string_lossy();
+        let path = self.targets().join(format!("{to}.{extension}"));
+        let pictures = [name, to].map(|n| self.targets().join(format!("{n}.png")));
+        let _lock = files::lock(&self.targets());
+        // The image first, then the file that makes the target exist; what it was called before goes last.
+        if let Ok(picture) = fs::read(&pictures[0]) {
+            files::replace(&pictures[1], &picture).map_err(LibraryError::not_kept(&pictures[1]))?;
+        }
+        match write_new(&path, &bytes).map_err(LibraryError::not_kept(&path))? {
+            true => {}
+            false => return Err(taken(to, path)),
+        }
+        fs::remove_file(&from).map_err(LibraryError::not_kept(&from))?;
+        let _ = fs::remove_file(&pictures[0]);
+        Ok(path)
+    }
+
+    fn remove_target(&self, name: &str) -> Result<PathBuf, LibraryError> {
+        let from = self.target_path(name)?;
+        let folder = self.targets().join(REMOVED);
+        make_folder(&folder).map_err(LibraryError::not_kept(&folder))?;
+        let _lock = files::lock(&self.targets());
+        let when = utc(SystemTime::now()).replace(':', "-");
+        let extension = from.extension().unwrap_or_default().to_string_lossy();
+        // Two of one name may go within a second.
+        let to = (0..)
+            .map(|k| match k {
+                0 => format!("{name}_{when}.{extension}"),
+                k => format!("{name}_{when}_{k}.{extension}"),
+            })
+            .map(|file| folder.join(file))
+            .find(|to| !is_there(to))
+            .unwrap_or_default();
+        fs::rename(&from, &to).map_err(LibraryError::not_kept(&to))?;
+        let picture = self.targets().join(format!("{name}.png"));
+        let _ = fs::rename(&picture, to.with_extension("png"));
+        Ok(to)
+    }
+
     fn export_target(&self, name: &str, to: &Path) -> Result<(), LibraryError> {
         let (bytes, _) = target_file::encode(&self.target(name)?)?;
         match write_new(to, &bytes).map_err(LibraryError::not_kept(to))? {
@@ -242,6 +306,16 @@ impl Targets for Folder {
 
 /// A target's file, of this version or the one before.
 fn read_target(path: &Path) -> Result<KeptTarget, LibraryError> {
+    if !path.exists() && is_there(path) {
+        let to = fs::read_link(path).unwrap_or_default();
+        return Err(LibraryError::Read {
+            path: path.into(),
+            what: format!(
+                "it is a link to {}, which is not there. Bring that back, or remove the link",
+                to.display()
+            ),
+        });
+    }
     if !is_json(path) {
         let bytes = fs::read(path).map_err(LibraryError::read(path))?;
         return target_file::decode(&bytes).map_err(|what| LibraryError::damaged(path, what));
@@ -348,10 +422,113 @@ mod tests {
     }
 
     #[test]
+    fn a_target_gets_another_name_and_is_there_under_one_of_the_two() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        for name in ["spot", "other"] {
+            keep(&folder, name).unwrap();
+        }
+        let before = folder.target("spot").unwrap();
+        folder.rename_target("spot", "mitosis-3").unwrap();
+        assert_eq!(folder.target_names().unwrap(), ["mitosis-3", "other"]);
+        assert_eq!(folder.target("mitosis-3").unwrap(), before);
+        assert!(folder.target_picture("mitosis-3").is_some());
+        assert!(folder.target_picture("spot").is_none());
+        for (from, to, word) in [
+            ("spot", "new", "there is no target 'spot'"),
+            ("mitosis-3", "other", "already"),
+            ("mitosis-3", "OTHER", "already"),
+            ("mitosis-3", "Mitosis-3", "already"),
+            ("mitosis-3", "CON", "device"),
+            ("mitosis-3", "-rf", "option"),
+            ("mitosis-3", "../x", "is no name"),
+        ] {
+            let said = folder.rename_target(from, to).unwrap_err().to_string();
+            assert!(said.contains(word), "{from} {to}: {said}");
+        }
+        // What is damaged keeps its name.
+        let file = folder.target_path("other").unwrap();
+        fs::write(&file, "half a file").unwrap();
+        assert!(folder.rename_target("other", "new").is_err());
+        assert_eq!(folder.target_names().unwrap(), ["mitosis-3", "other"]);
+    }
+
+    #[test]
+    fn what_was_removed_can_be_taken_in_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        let mut removed = Vec::new();
+        for _ in 0..3 {
+            keep(&folder, "spot").unwrap();
+            removed.push(folder.remove_target("spot").unwrap());
+            assert!(folder.target_names().unwrap().is_empty());
+            assert!(folder.target_picture("spot").is_none());
+        }
+        assert!(folder.remove_target("spot").is_err());
+        let kept: std::collections::BTreeSet<_> = removed.iter().collect();
+        assert_eq!(kept.len(), 3, "none was lost: {removed:?}");
+        folder.import_target(&removed[0], "spot").unwrap();
+        assert_eq!(folder.target("spot").unwrap().target, view().0);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_that_leads_nowhere_is_told_and_has_the_name() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        keep(&folder, "sound").unwrap();
+        for (link, to) in [
+            ("dang.target", "gone"),
+            ("old.json", "gone.json"),
+            ("self.target", "self.target"),
+        ] {
+            std::os::unix::fs::symlink(to, folder.targets().join(link)).unwrap();
+        }
+        for name in ["dang", "old"] {
+            let said = folder.target(name).unwrap_err().to_string();
+            assert!(
+                said.contains("it is a link to gone") && said.contains("remove the link"),
+                "{said}"
+            );
+            assert!(folder.check_new_target(name).is_err());
+        }
+        assert!(
+            folder
+                .target("self")
+                .unwrap_err()
+                .to_string()
+                .contains("it is a link to self.target")
+        );
+        assert_eq!(
+            folder.target_names().unwrap(),
+            ["dang", "old", "self", "sound"]
+        );
+        folder.target("sound").unwrap();
+    }
+
+    #[test]
     fn names_of_targets_stay_in_their_folder() {
         let dir = tempfile::tempdir().unwrap();
         let folder = Folder::new(dir.path().join("data"));
-        for bad in ["", ".", "../x", "a/b", "a\\b", "ä", "a b", ".hidden", "C:x"] {
+        for bad in [
+            "",
+            ".",
+            "..",
+            "../x",
+            "a/b",
+            "a\\b",
+            "ä",
+            "e\u{301}",
+            "a b",
+            "a ",
+            " a",
+            ".hidden",
+            "C:x",
+            "a\u{7}",
+            "\u{1f52c}",
+            "a\n",
+            "a\0b",
+        ] {
             assert!(folder.check_new_target(bad).is_err(), "{bad}");
             assert!(folder.target(bad).is_err(), "{bad}");
         }

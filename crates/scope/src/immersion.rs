@@ -46,6 +46,18 @@ impl Immersion {
         }
     }
 
+    /// Its refractive index, generously: no objective that works in it has a larger aperture.
+    pub fn largest_aperture(self) -> f64 {
+        match self {
+            Self::Air => 1.0,
+            Self::Water => 1.34,
+            Self::Silicone => 1.42,
+            Self::Glycerol => 1.48,
+            // Some oils for apertures of 1.65 are denser than glass.
+            Self::Oil => 1.79,
+        }
+    }
+
     /// That of a word.
     pub fn of_word(word: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|medium| medium.word() == word)

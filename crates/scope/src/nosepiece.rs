@@ -31,12 +31,23 @@ impl Objective {
             self.numerical_aperture,
             self.nominal_um_per_px,
         ];
-        match sizes.iter().all(|v| v.is_finite() && *v > 0.0) {
-            true => Ok(()),
-            false => Err(ScopeError::BadSetting {
+        if !sizes.iter().all(|v| v.is_finite() && *v > 0.0) {
+            return Err(ScopeError::BadSetting {
                 what: format!(
                     "magnification, numerical_aperture and um_per_px of {} must be above 0",
                     self.id
+                ),
+            });
+        }
+        let (aperture, medium) = (self.numerical_aperture, self.immersion);
+        match aperture <= medium.largest_aperture() {
+            true => Ok(()),
+            false => Err(ScopeError::BadSetting {
+                what: format!(
+                    "{} has a numerical aperture of {aperture}, and in {medium} there is none above {}: correct it, or what the objective \
+                     works in (immersion)",
+                    self.id,
+                    medium.largest_aperture()
                 ),
             }),
         }
@@ -99,6 +110,46 @@ pub fn by_immersion<T>(items: &mut [T], now: Option<Immersion>, of: impl Fn(&T) 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_objective_has_a_larger_aperture_than_its_medium_allows() {
+        let checked = |numerical_aperture: f64, immersion| {
+            let objective = Objective {
+                id: ObjectiveId("60x".into()),
+                magnification: 600.0,
+                numerical_aperture,
+                nominal_um_per_px: 0.1,
+                immersion,
+            };
+            objective.check().map_err(|e| e.to_string())
+        };
+        for (aperture, medium) in [
+            (0.95, Immersion::Air),
+            (1.2, Immersion::Water),
+            (1.3, Immersion::Glycerol),
+            (1.35, Immersion::Silicone),
+            (1.49, Immersion::Oil),
+            (1.65, Immersion::Oil),
+        ] {
+            assert_eq!(checked(aperture, medium), Ok(()), "{aperture} in {medium}");
+        }
+        for (aperture, medium) in [
+            (50.0, Immersion::Air),
+            (1.25, Immersion::Air),
+            (1.4, Immersion::Water),
+            (40.0, Immersion::Oil),
+        ] {
+            let said = checked(aperture, medium).unwrap_err();
+            let named = format!("an aperture of {aperture}, and in {medium} ");
+            assert!(
+                said.contains(&named.replace("an aperture", "a numerical aperture")),
+                "{said}"
+            );
+        }
+        for aperture in [0.0, -0.5, f64::NAN] {
+            assert!(checked(aperture, Immersion::Oil).is_err(), "{aperture}");
+        }
+    }
 
     #[test]
     fn objectives_are_ordered_so_that_the_medium_changes_least_often() {

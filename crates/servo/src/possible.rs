@@ -2,11 +2,14 @@
 
 use crate::Calibration;
 use scopeservo_geometry::Cholesky;
+use scopeservo_scope::{Axis, AxisRange};
 
 /// No microscope has its axis of rotation farther away, m.
 const FARTHEST_M: f64 = 1.0;
 /// No pixel on a specimen is smaller or larger, um.
 const PIXEL_UM: [f64; 2] = [1e-4, 1e3];
+/// No calibration turns by less, rad: a twentieth of a degree.
+const LEAST_TURN_RAD: f64 = 0.05 * std::f64::consts::PI / 180.0;
 /// A covariance may be off by so much of its diagonal, for rounding.
 const ROUNDING: f64 = 1e-9;
 
@@ -25,10 +28,11 @@ impl Calibration {
         if let Some([x, y]) = self.rotation_centre_m
             && (x.hypot(y).is_nan() || x.hypot(y) > FARTHEST_M)
         {
-            return Some(format!(
-                "it has the axis of rotation {:.3} m away",
-                x.hypot(y)
-            ));
+            let far = x.hypot(y);
+            return Some(match far < 1e3 {
+                true => format!("it has the axis of rotation {far:.3} m away"),
+                false => format!("it has the axis of rotation {far:e} m away"),
+            });
         }
         if self.covariance.is_some_and(|c| !is_covariance(&c)) {
             return Some("its covariance is that of no numbers".into());
@@ -45,6 +49,27 @@ impl Calibration {
             return Some("its play is no number".into());
         }
         None
+    }
+}
+
+impl Calibration {
+    /// What of it no stage of this travel can have measured, in words: it would have had to follow the view through a turn farther than it goes.
+    /// `None` of one that can be, and where the stage does not turn.
+    pub fn out_of_reach(&self, ranges: &[AxisRange]) -> Option<String> {
+        let travel = |axis: Axis| {
+            let range = ranges.iter().find(|r| r.axis == axis);
+            range.map_or(0.0, |r| r.max - r.min)
+        };
+        let [x, y] = self.rotation_centre_m?;
+        let reach_m = travel(Axis::X).hypot(travel(Axis::Y));
+        let turns = ranges.iter().any(|r| r.axis == Axis::Rz);
+        (turns && x.hypot(y) * LEAST_TURN_RAD > reach_m).then(|| {
+            format!(
+                "it has the axis of rotation {:.3} mm away, and a stage that goes {:.3} mm follows no turn about that",
+                1e3 * x.hypot(y),
+                1e3 * reach_m
+            )
+        })
     }
 }
 
@@ -70,6 +95,38 @@ mod tests {
     use crate::{Backlash, CALIBRATION_SCHEMA};
     use scopeservo_geometry::Mat2;
     use scopeservo_scope::ObjectiveId;
+
+    #[test]
+    fn an_axis_that_the_stage_could_not_have_turned_about_is_named() {
+        let about = |x: f64| Calibration {
+            schema: CALIBRATION_SCHEMA,
+            objective: ObjectiveId("40x".into()),
+            image_size_px: [640, 480],
+            stage_from_pixel: Mat2([[5e-7, 0.0], [0.0, -5e-7]]),
+            rotation_centre_m: Some([x, 0.0]),
+            covariance: None,
+            backlash: None,
+            scatter: None,
+        };
+        let range = |axis, half: f64| AxisRange {
+            axis,
+            min: -half,
+            max: half,
+        };
+        let stage = |half_m: f64| {
+            let across = [Axis::X, Axis::Y].map(|axis| range(axis, half_m));
+            [across[0], across[1], range(Axis::Rz, 0.2)]
+        };
+        // A hexapod turns about an axis far outside of its travel, a small stage about none.
+        assert_eq!(about(0.125).out_of_reach(&stage(0.017)), None);
+        assert_eq!(about(0.9).out_of_reach(&stage(0.017)), None);
+        for (centre_m, half_m) in [(0.9, 1e-4), (0.125, 2e-5), (-0.5, 1e-5)] {
+            let said = about(centre_m).out_of_reach(&stage(half_m)).unwrap();
+            assert!(said.contains("follows no turn"), "{said}");
+        }
+        // What does not turn has none, whatever the file says.
+        assert_eq!(about(0.9).out_of_reach(&stage(1e-4)[..2]), None);
+    }
 
     #[test]
     fn what_no_calibration_can_be_is_named() {

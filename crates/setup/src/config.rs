@@ -1,8 +1,11 @@
 //! The file. Every key has its unit in its name; unknown keys are errors.
 
 use crate::SetupError;
+use crate::check::{check, guess};
 use crate::simulated::TwinConfig;
-use crate::tables;
+use crate::spelled::{ESCAPES, is_escape, line_of, spelled};
+use crate::tables::{self, Unreadable};
+use crate::template::schema_with;
 use scopeservo_drivers::factory::{Described, FACTORIES, Factory};
 use scopeservo_scope::{Immersion, Workspace};
 use serde::Deserialize;
@@ -59,6 +62,9 @@ pub struct Config {
     /// The file itself.
     #[serde(skip)]
     pub path: PathBuf,
+    /// What it says, for the lines of what cannot be.
+    #[serde(skip)]
+    text: String,
 }
 
 fn data_folder() -> PathBuf {
@@ -224,26 +230,42 @@ impl Config {
     /// # Errors
     /// As [`Config::read`].
     pub fn parse_with(text: &str, path: &Path, known: &[Factory]) -> Result<Self, SetupError> {
-        let (mut config, found): (Self, _) = tables::read(text, known).map_err(|error| {
-            let at = error.span.map_or(0, |s| s.start).min(text.len());
+        let unreadable = |error: Unreadable| {
+            let at = error.span.clone().map_or(0, |s| s.start).min(text.len());
             let before = text.as_bytes()[..at].iter();
             let line = before.clone().filter(|&&b| b == b'\n').count() + 1;
             let column = before.rev().take_while(|&&b| b != b'\n').count() + 1;
+            let hint = match is_escape(text, at) {
+                true => ESCAPES,
+                false => "",
+            };
             SetupError::Parse {
                 path: path.into(),
                 line,
                 column,
-                what: with_guess(&error.message),
+                what: format!("{}{hint}", with_guess(&error.message)),
             }
-        })?;
+        };
+        let (mut config, found): (Self, _) = tables::read(text, known).map_err(unreadable)?;
+        spelled(text, &schema_with(known)).map_err(unreadable)?;
         for (name, own) in found {
             if let Some(driver) = config.drivers.get_mut(&name) {
                 driver.own = own;
             }
         }
         config.path = path.into();
-        config.check(known)?;
+        config.text = text.into();
+        check(&config, known)?;
         Ok(config)
+    }
+
+    /// What is read otherwise than it was written, in any text: lists with more values than are read, and paths with escapes.
+    ///
+    /// # Errors
+    /// The sentence that [`Config::parse`] would say.
+    #[doc(hidden)]
+    pub fn is_spelled_as_meant(text: &str) -> Result<(), String> {
+        spelled(text, &schema_with(FACTORIES)).map_err(|error| error.message)
     }
 
     /// A path in the file, from the folder of the file on.
@@ -251,93 +273,13 @@ impl Config {
         self.path.parent().unwrap_or(Path::new("")).join(path)
     }
 
-    pub(crate) fn senseless(&self, what: impl Into<String>) -> SetupError {
+    /// What the description says at `keys` and cannot be: the sentence begins with the file and the line.
+    pub(crate) fn senseless(&self, keys: &[&str], what: impl Into<String>) -> SetupError {
         SetupError::Invalid {
             path: self.path.clone(),
+            line: line_of(&self.text, keys),
             what: what.into(),
         }
-    }
-
-    fn check(&self, known: &[Factory]) -> Result<(), SetupError> {
-        for (name, driver) in &self.drivers {
-            for own in &driver.own {
-                let checked = own.check();
-                checked.map_err(|what| self.senseless(format!("drivers.{name}: {what}")))?;
-            }
-            let kinds = [
-                ("program", driver.program.is_some()),
-                ("tcp", driver.tcp.is_some()),
-                ("twin", driver.twin.is_some()),
-            ];
-            let of_ours = kinds.iter().filter(|(_, is)| *is).count();
-            if of_ours + driver.own.len() != 1 {
-                let all = kinds.iter().map(|(kind, _)| *kind);
-                let all: Vec<&str> = all.chain(known.iter().map(|f| f.kind)).collect();
-                return Err(self.senseless(format!(
-                    "drivers.{name} must have exactly one of {}",
-                    all.join(", ")
-                )));
-            }
-            if driver.program.as_ref().is_some_and(Vec::is_empty) {
-                return Err(self.senseless(format!("drivers.{name}.program is empty")));
-            }
-            if driver.secret_file.is_some() && driver.tcp.is_none() {
-                return Err(self.senseless(format!("drivers.{name}: a secret is for tcp only")));
-            }
-        }
-        let devices = &self.devices;
-        let mut named = vec![("stage", &devices.stage), ("camera", &devices.camera)];
-        if !["by-hand", "none"].contains(&devices.nosepiece.as_str()) {
-            named.push(("nosepiece", &devices.nosepiece));
-        }
-        named.extend(devices.light.iter().map(|l| ("light", l)));
-        for (device, driver) in named {
-            if !self.drivers.contains_key(driver) {
-                let known = self.drivers.keys().map(String::as_str);
-                let hint = guess(driver, known)
-                    .map_or(String::new(), |g| format!("; did you mean '{g}'?"));
-                return Err(self.senseless(format!(
-                    "devices.{device} is '{driver}', and there is no drivers.{driver}{hint}"
-                )));
-            }
-        }
-        match (devices.nosepiece.as_str(), self.objectives.len()) {
-            ("by-hand", 0) => {
-                Err(self.senseless("a nosepiece by hand needs its objectives: [[objective]]"))
-            }
-            ("none", n) if n != 1 => Err(self.senseless(
-                "without a nosepiece there is exactly one objective: describe it as [[objective]]",
-            )),
-            ("by-hand" | "none", _) => Ok(()),
-            (_, 0) => Ok(()),
-            _ => Err(self.senseless(
-                "the driver's nosepiece brings its own objectives: leave out [[objective]]",
-            )),
-        }?;
-        let arrival = [self.arrival.within_um, self.arrival.within_deg];
-        if arrival
-            .into_iter()
-            .flatten()
-            .any(|v| !(v > 0.0 && v.is_finite()))
-        {
-            return Err(self.senseless("arrival: within_um and within_deg must be above 0"));
-        }
-        if let Some(change) = &self.objective_change
-            && change.retract_z_um.is_some() != change.margin_um.is_some()
-        {
-            return Err(self.senseless(
-                "objective_change: margin_um belongs to retract_z_um: how far from the expected focus an objective stops whose focus \
-                 was never found, such as 50",
-            ));
-        }
-        if let Some(change) = &self.objective_change
-            && (change.retract_z_um.is_some() == (change.anywhere == Some(true)))
-        {
-            return Err(self.senseless(
-                "objective_change must have exactly one of retract_z_um = ... and anywhere = true",
-            ));
-        }
-        Ok(())
     }
 }
 
@@ -357,15 +299,6 @@ fn with_guess(message: &str) -> String {
         }
         _ => message.replace('\n', " "),
     }
-}
-
-/// The word most like another, if any is.
-fn guess<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    known
-        .map(|word| (strsim::jaro_winkler(wrong, word), word))
-        .filter(|(like, _)| *like > 0.8)
-        .max_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(_, word)| word)
 }
 
 #[cfg(test)]
@@ -448,7 +381,7 @@ mod tests {
         assert!(both.contains("exactly one of"), "{both}");
         let asked = said(&format!("{TWIN_TEMPLATE}\n[arrival]\nwithin_deg = 0\n"));
         assert!(
-            asked.contains("within_um and within_deg must be above 0"),
+            asked.contains("arrival.within_deg is 0: it must be above 0"),
             "{asked}"
         );
         let margin = wrong("margin_um = 0", "");

@@ -32,10 +32,12 @@ pub enum SetupError {
         what: String,
     },
     /// The file is readable, but does not describe an instrument.
-    #[error("{path}: {what}")]
+    #[error("{path}:{line}: {what}")]
     Invalid {
         /// The file.
         path: PathBuf,
+        /// Counts from 1: where it says so, or where what lacks something begins.
+        line: usize,
         /// What is wrong and what to do.
         what: String,
     },

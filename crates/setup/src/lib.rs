@@ -6,12 +6,14 @@
 #![warn(clippy::too_many_lines)]
 
 mod by_hand;
+mod check;
 mod config;
 mod error;
 mod held;
 mod open;
 mod rules;
 mod simulated;
+mod spelled;
 mod tables;
 mod template;
 

@@ -2,15 +2,16 @@
 
 use crate::SetupError;
 use crate::by_hand::{Ask, ByHand};
-use crate::config::{Config, DriverConfig, ObjectiveConfig};
+use crate::check::told_apart;
+use crate::config::{Config, DriverConfig};
 use crate::held::Held;
 use crate::rules::rules;
 use crate::simulated::TwinConfig;
 use scopeservo_drivers::factory::{Around, ConnectError, Connected, read_secret};
 use scopeservo_protocol::{Driver, Secret};
 use scopeservo_scope::{
-    AskImmersion, CancelToken, Clock, Devices, Instrument, Nosepiece, Objective, ObjectiveId,
-    ScopeError, SystemClock, VirtualClock,
+    AskImmersion, CancelToken, Clock, Devices, Instrument, Nosepiece, Objective, ScopeError,
+    SystemClock, VirtualClock,
 };
 use scopeservo_twin::{Twin, TwinError};
 use std::collections::BTreeMap;
@@ -81,7 +82,7 @@ pub fn connect(
     };
     let mut all: BTreeMap<&str, Found> = BTreeMap::new();
     for (name, driver) in &config.drivers {
-        let found = find(config, driver, &clock).map_err(|error| match error {
+        let found = find(config, (name, driver), &clock).map_err(|error| match error {
             // It names the driver already.
             error @ (SetupError::Driver(_) | SetupError::Invalid { .. }) => error,
             error => SetupError::In {
@@ -92,9 +93,10 @@ pub fn connect(
         all.insert(name, found);
     }
     let lacks = |driver: &str, device: &str| {
-        config.senseless(format!(
-            "devices.{device} is '{driver}', which has no {device}"
-        ))
+        config.senseless(
+            &["devices", device],
+            format!("devices.{device} is '{driver}', which has no {device}"),
+        )
     };
     let devices = &config.devices;
     let stage = devices_of(&mut all, &devices.stage).and_then(|d| d.stage.take());
@@ -102,14 +104,20 @@ pub fn connect(
     let camera = devices_of(&mut all, &devices.camera).and_then(|d| d.camera.take());
     let camera = camera.ok_or_else(|| lacks(&devices.camera, "camera"))?;
     let nosepiece: Box<dyn Nosepiece> = match devices.nosepiece.as_str() {
-        "by-hand" | "none" => Box::new(ByHand::new(objectives(config)?, consent.ask.clone())),
+        "by-hand" | "none" => {
+            let described = config.objectives.iter().map(Objective::from).collect();
+            Box::new(ByHand::new(described, consent.ask.clone()))
+        }
         driver => devices_of(&mut all, driver)
             .and_then(|d| d.nosepiece.take())
             .ok_or_else(|| {
-                config.senseless(format!(
-                    "devices.nosepiece is '{driver}', which has none: say \"none\" or \"by-hand\" and describe the objectives as \
-                     [[objective]]"
-                ))
+                config.senseless(
+                    &["devices", "nosepiece"],
+                    format!(
+                        "devices.nosepiece is '{driver}', which has none: say \"none\" or \"by-hand\" and describe the objectives as \
+                         [[objective]]"
+                    ),
+                )
             })?,
     };
     let light = match &devices.light {
@@ -120,7 +128,16 @@ pub fn connect(
                 .ok_or_else(|| lacks(driver, "light"))?,
         ),
     };
-    let rules = rules(config, stage.info(), nosepiece.objectives().len())?;
+    let carried = nosepiece.objectives();
+    for (k, objective) in carried.iter().enumerate() {
+        let fault = objective.check().map_err(|e| e.to_string());
+        let fault = fault.and_then(|()| told_apart(&carried[..k], objective));
+        fault.map_err(|what| {
+            let driver = &devices.nosepiece;
+            config.senseless(&["drivers", driver], format!("drivers.{driver}: {what}"))
+        })?;
+    }
+    let rules = rules(config, stage.info(), carried)?;
     // What is wrong with the rules is said before anything moves.
     let devices = Devices {
         stage: Some(stage),
@@ -158,18 +175,18 @@ pub(crate) struct Found {
 
 fn find(
     config: &Config,
-    driver: &DriverConfig,
+    (name, driver): (&str, &DriverConfig),
     clock: &Arc<dyn Clock>,
 ) -> Result<Found, SetupError> {
     if let Some(twin) = &driver.twin {
-        return simulated(config, twin, clock);
+        return simulated(config, (name, twin), clock);
     }
     if let Some(own) = driver.own.first() {
         let around = Around {
             resolve: &|path| config.resolve(path),
             clock,
         };
-        let Connected { name, devices } = own.connect(&around).map_err(of(config))?;
+        let Connected { name, devices } = own.connect(&around).map_err(of(config, name))?;
         return Ok(Found {
             name,
             devices,
@@ -191,12 +208,15 @@ fn find(
         }
         (None, Some(address)) => {
             let secret = match &driver.secret_file {
-                Some(file) => Some(secret(config, file)?),
+                Some(file) => Some(secret(config, name, file)?),
                 None => None,
             };
             Driver::connect(address, secret.as_ref())?
         }
-        (None, None) => return Err(config.senseless("a driver has neither program nor tcp")),
+        (None, None) => {
+            let what = format!("drivers.{name} has neither program nor tcp");
+            return Err(config.senseless(&["drivers", name], what));
+        }
     };
     Ok(Found {
         name: driver.hello().name.clone(),
@@ -206,18 +226,21 @@ fn find(
 }
 
 /// What a driver says, of this description.
-fn of(config: &Config) -> impl Fn(ConnectError) -> SetupError {
-    |error| match error {
-        ConnectError::Description(what) => config.senseless(what),
+fn of(config: &Config, name: &str) -> impl Fn(ConnectError) -> SetupError {
+    let keys = ["drivers", name];
+    move |error| match error {
+        ConnectError::Description(what) => {
+            config.senseless(&keys, format!("drivers.{name}: {what}"))
+        }
         ConnectError::Secret { path, what } => SetupError::Secret { path, what },
         ConnectError::Scope(error) => error.into(),
-        other => config.senseless(other.to_string()),
+        other => config.senseless(&keys, format!("drivers.{name}: {other}")),
     }
 }
 
-fn secret(config: &Config, file: &Path) -> Result<Secret, SetupError> {
+fn secret(config: &Config, name: &str, file: &Path) -> Result<Secret, SetupError> {
     let read = read_secret(&|path| config.resolve(path), file);
-    let (path, bytes) = read.map_err(of(config))?;
+    let (path, bytes) = read.map_err(of(config, name))?;
     Secret::new(&bytes).ok_or_else(|| SetupError::Secret {
         path,
         what: format!("it must have {} bytes or more", Secret::MIN_BYTES),
@@ -226,13 +249,16 @@ fn secret(config: &Config, file: &Path) -> Result<Secret, SetupError> {
 
 fn simulated(
     config: &Config,
-    settings: &TwinConfig,
+    (name, settings): (&str, &TwinConfig),
     clock: &Arc<dyn Clock>,
 ) -> Result<Found, SetupError> {
     let twin = settings
         .build(|path| config.resolve(path), clock.clone())
         .map_err(|error| match error {
-            SetupError::Twin(TwinError::BadConfig { what }) => config.senseless(what),
+            SetupError::Twin(TwinError::BadConfig { what }) => config.senseless(
+                &["drivers", name, "twin"],
+                format!("drivers.{name}.twin: {what}"),
+            ),
             other => other,
         })?;
     Ok(Found {
@@ -242,47 +268,17 @@ fn simulated(
     })
 }
 
-fn objectives(config: &Config) -> Result<Vec<Objective>, SetupError> {
-    let mut all: Vec<Objective> = Vec::new();
-    for ObjectiveConfig {
-        id,
-        magnification,
-        numerical_aperture,
-        um_per_px,
-        immersion,
-    } in &config.objectives
-    {
-        if all.iter().any(|o| o.id.0 == *id) || id.is_empty() {
-            return Err(config.senseless(format!("the objective '{id}' needs a name of its own")));
-        }
-        let objective = Objective {
-            id: ObjectiveId(id.clone()),
-            magnification: *magnification,
-            numerical_aperture: *numerical_aperture,
-            nominal_um_per_px: *um_per_px,
-            immersion: *immersion,
-        };
-        let checked = objective.check();
-        checked.map_err(|e| config.senseless(e.to_string()))?;
-        all.push(objective);
-    }
-    Ok(all)
-}
-
 fn set(config: &Config, scope: &Instrument) -> Result<(), SetupError> {
     if let Some(ms) = config.camera.exposure_ms {
-        let exposure = Duration::try_from_secs_f64(ms * 1e-3)
-            .map_err(|_| config.senseless(format!("camera.exposure_ms is {ms}")))?;
+        let exposure = Duration::try_from_secs_f64(ms * 1e-3).map_err(|_| {
+            let what = format!("camera.exposure_ms is {ms}: it must be a time");
+            config.senseless(&["camera", "exposure_ms"], what)
+        })?;
         scope.camera().set_exposure(exposure)?;
     }
-    match (config.light.level, scope.light()) {
-        (Some(level), Some(light)) => {
-            light.set_level(level)?;
-        }
-        (Some(_), None) => {
-            return Err(config.senseless("light.level is set, but devices.light names no driver"));
-        }
-        (None, _) => {}
+    // The check saw that there is a light, where it is to be set.
+    if let (Some(level), Some(light)) = (config.light.level, scope.light()) {
+        light.set_level(level)?;
     }
     Ok(())
 }

@@ -11,6 +11,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// No slide is larger, um.
+const FARTHEST_UM: f64 = 1e5;
+
 /// The simulated microscope.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -137,11 +140,14 @@ impl TwinConfig {
         if let Some(wanted) = &self.objectives {
             make.optics.retain(|o| wanted.contains(&o.id.0));
         }
-        let [x, y] = self.centre_um;
-        if ![x, y, self.turned_deg].iter().all(|v| v.is_finite()) {
-            return Err(bad(
-                "centre_um and turned_deg of the twin must be numbers".into()
-            ));
+        let within = |value: f64, most: f64| value.abs() <= most;
+        if !self.centre_um.iter().all(|&v| within(v, FARTHEST_UM)) {
+            return Err(bad(format!(
+                "centre_um must be within {FARTHEST_UM} um: no slide is larger"
+            )));
+        }
+        if !within(self.turned_deg, 360.0) {
+            return Err(bad("turned_deg must be from -360 to 360".into()));
         }
         let twin = Twin::new(make, specimen, self.seed, clock)?;
         twin.centre_specimen(self.centre_um, self.turned_deg);

@@ -1,6 +1,6 @@
 //! What `scopeservo init` writes.
 
-use scopeservo_drivers::factory::FACTORIES;
+use scopeservo_drivers::factory::{FACTORIES, Factory};
 
 /// All but the drivers that have a factory.
 const SCHEMA: &str = include_str!("scopeservo.schema.json");
@@ -9,8 +9,13 @@ const PLACE: &str = "\n     \"@factories\": {}";
 
 /// A JSON schema of the file, for editors.
 pub fn schema() -> String {
+    schema_with(FACTORIES)
+}
+
+/// The same with other drivers than ours.
+pub(crate) fn schema_with(known: &[Factory]) -> String {
     let of = |schema: &str| schema.trim_end().replace('\n', "\n     ");
-    let all = FACTORIES.iter();
+    let all = known.iter();
     let all = all.map(|f| format!("\n     \"{}\": {}", f.kind, of(f.schema)));
     SCHEMA.replace(PLACE, &all.collect::<Vec<_>>().join(","))
 }

@@ -137,9 +137,9 @@ fn a_nosepiece_on_the_stages_controller_turns_where_the_file_allows_it() {
     let mut stage = EmulatedStage::hexapod_and(&[("A", 180.0)]);
     stage.velocity = 300.0;
     let emulator = Gcs2Emulator::serve(stage).unwrap();
-    let objective = |id: &str, deg: f64| {
+    let objective = |id: &str, magnification: f64, deg: f64| {
         format!(
-            "[[drivers.own.gcs2.settings.nosepiece.objectives]]\nid = \"{id}\"\nmagnification = 100\n\
+            "[[drivers.own.gcs2.settings.nosepiece.objectives]]\nid = \"{id}\"\nmagnification = {magnification}\n\
              numerical_aperture = 0.25\num_per_px = 2.2\nat_deg = {deg}\n"
         )
     };
@@ -148,8 +148,8 @@ fn a_nosepiece_on_the_stages_controller_turns_where_the_file_allows_it() {
          [drivers.eye.twin]\n[devices]\nstage = \"own\"\ncamera = \"eye\"\nnosepiece = \"own\"\n\
          [objective_change]\nretract_z_um = -2000\nmargin_um = 50\n",
         gcs2(&emulator.address()),
-        objective("10x", 0.0),
-        objective("40x", 90.0)
+        objective("10x", 100.0, 0.0),
+        objective("40x", 400.0, 90.0)
     );
     let config = Config::parse(&text, Path::new("scopeservo.toml")).unwrap();
     let consent = Consent {

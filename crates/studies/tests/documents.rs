@@ -231,3 +231,49 @@ fn files_that_the_documents_link_to_are_there() {
         }
     }
 }
+
+/// The variants of an enum as code words.
+fn words_of(source: &str, name: &str) -> BTreeSet<String> {
+    let text = fs::read_to_string(root().join(source)).unwrap();
+    let (_, body) = text.split_once(&format!("enum {name} {{\n")).unwrap();
+    let (body, _) = body.split_once("\n}").unwrap();
+    let names = body.lines().map(str::trim);
+    let names = names.filter(|line| line.starts_with(|c: char| c.is_ascii_uppercase()));
+    let snake = |name: &str| {
+        let parts = name
+            .trim_end_matches(',')
+            .chars()
+            .map(|c| match c.is_ascii_uppercase() {
+                true => format!("_{}", c.to_ascii_lowercase()),
+                false => c.to_string(),
+            });
+        parts.collect::<String>().trim_start_matches('_').to_owned()
+    };
+    names.map(snake).collect()
+}
+
+#[test]
+fn every_code_word_and_every_reason_says_what_it_means_and_what_to_do() {
+    let page = fs::read_to_string(root().join("docs/troubleshooting.md")).unwrap();
+    let mut sections = BTreeSet::new();
+    for section in page.split("\n### `").skip(1) {
+        let (word, rest) = section.split_once('`').unwrap();
+        let rest = rest.split("\n## ").next().unwrap();
+        for part in ["**What it means.** ", "**What to do.** "] {
+            let said = rest
+                .split(part)
+                .nth(1)
+                .unwrap_or_else(|| panic!("{word}: {part}"));
+            assert!(said.len() > 20, "{word}: {part}");
+        }
+        assert!(sections.insert(word.to_owned()), "{word} twice");
+    }
+    let program = words_of("crates/cli/src/error.rs", "Code");
+    let method = words_of("crates/servo/src/code.rs", "ErrorCode");
+    let mut reasons = words_of("crates/servo/src/reposition/outcome.rs", "Reason");
+    assert!(reasons.remove("converged"), "an arrival is no trouble");
+    assert!(program.len() > 20 && method.len() > 12 && reasons.len() > 15);
+    // A refusal by the gate is told as `refused` by a command, as `outside_limits` in a verdict.
+    let known: BTreeSet<String> = program.into_iter().chain(method).chain(reasons).collect();
+    assert_eq!(sections, known);
+}

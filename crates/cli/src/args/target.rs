@@ -10,6 +10,12 @@ pub(crate) enum TargetCommand {
     Save(TargetSaveArgs),
     /// List the saved targets.
     List(TargetListArgs),
+    /// Everything that is known of a saved target.
+    Show(TargetShowArgs),
+    /// Give a saved target another name.
+    Rename(TargetRenameArgs),
+    /// Take a saved target out of the list. Its file is put aside, not deleted.
+    Remove(TargetRemoveArgs),
     /// Write a saved target into one file, for another microscope or another computer.
     Export(TargetExportArgs),
     /// Take in a target that was exported.
@@ -74,7 +80,57 @@ pub(crate) struct TargetImportArgs {
 }
 
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo target show mitosis-3
+  scopeservo target show mitosis-3 --json")]
+pub(crate) struct TargetShowArgs {
+    /// The target's name.
+    pub(crate) name: String,
+    #[command(flatten)]
+    pub(crate) description: ConfigArgs,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo target rename mitosis-3 metaphase-1")]
+pub(crate) struct TargetRenameArgs {
+    /// The target's name.
+    pub(crate) name: String,
+    /// The one that it gets: letters, digits, '-', '_' and '.'.
+    pub(crate) to: String,
+    #[command(flatten)]
+    pub(crate) description: ConfigArgs,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo target remove mitosis-3
+  scopeservo target remove mitosis-3 mitosis-4
+
+The files go to targets/removed in the data folder, from where `scopeservo target import` takes them in again. Delete them there for good.")]
+pub(crate) struct TargetRemoveArgs {
+    /// The names of the targets.
+    #[arg(required = true, value_name = "NAME")]
+    pub(crate) names: Vec<String>,
+    #[command(flatten)]
+    pub(crate) description: ConfigArgs,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  scopeservo target list
+  scopeservo target list --long        also where the stage was, the scale, and the file
+  scopeservo target list --json")]
 pub(crate) struct TargetListArgs {
+    /// Also where the stage was, the size of a pixel, and the file.
+    #[arg(long)]
+    pub(crate) long: bool,
     #[command(flatten)]
     pub(crate) description: ConfigArgs,
     #[command(flatten)]

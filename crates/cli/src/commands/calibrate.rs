@@ -1,5 +1,6 @@
 //! `scopeservo calibrate`.
 
+use super::calibration_of;
 use super::library_of;
 use super::report::{failure, work_page};
 use crate::answer::Answer;
@@ -95,7 +96,7 @@ fn in_use(opened: &OpenInstrument) -> Vec<(String, Calibration)> {
     let size_px = [info.width, info.height];
     let objectives = opened.scope.gate().objectives().iter();
     // One that is damaged is replaced now, and was of no use.
-    let kept = objectives.filter_map(|o| opened.library.calibration(o).ok().flatten());
+    let kept = objectives.filter_map(|o| calibration_of(opened, o).ok().flatten());
     kept.filter(|k| k.calibration.image_size_px == size_px && k.instrument == opened.config.name)
         .map(|k| (k.made, k.calibration))
         .collect()

@@ -1,14 +1,14 @@
 //! `scopeservo check`.
 
-use super::known_calibrations;
+use super::{calibration_of, known_calibrations};
 use crate::answer::Answer;
 use crate::args::CheckArgs;
+use crate::colour::{self, Hope};
 use crate::error::CliError;
 use crate::journal::Asked;
 use crate::open_instrument::OpenInstrument;
 use crate::output::{change_in_words, changes_in_words};
 use crate::progress::Watcher;
-use scopeservo_library::Calibrations as _;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{Broken, Changing, SelfTestReport, SelfTestVerdict, Together};
 use scopeservo_station::jobs::{CheckInput, CheckJob, CheckOutput, Checked};
@@ -20,10 +20,15 @@ pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError>
     opened.check_nothing_waits()?;
     let named: Vec<ObjectiveId> = args.objective.iter().cloned().map(ObjectiveId).collect();
     let wanted = |id: &ObjectiveId| named.is_empty() || named.contains(id);
+    let mut is_damaged = false;
     for objective in opened.scope.gate().objectives() {
-        // One that is damaged is not left out in silence.
-        if wanted(&objective.id) {
-            opened.library.calibration(objective)?;
+        let kept = calibration_of(&opened, objective);
+        if kept.is_err() && wanted(&objective.id) {
+            // One that was asked for by its name is the answer; else it does not keep the others away, and all are not good.
+            if named.contains(&objective.id) {
+                kept?;
+            }
+            is_damaged = true;
         }
     }
     let mut calibrations = known_calibrations(&opened, answer);
@@ -49,29 +54,31 @@ pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError>
         inputs: json!(input),
         ..Asked::default()
     };
-    run(&opened, CheckJob::new(input), asked, answer)
+    run(&opened, CheckJob::new(input), asked, is_damaged, answer)
 }
 
-/// Runs the job, from its beginning or from where it was.
+/// Runs the job, from its beginning or from where it was. Where a calibration is damaged not all are good.
 pub(super) fn run(
     opened: &OpenInstrument,
     job: CheckJob,
     asked: Asked,
+    is_damaged: bool,
     answer: &Answer,
 ) -> Result<bool, CliError> {
     let ran = opened.run(job, asked, &mut Watcher::new(None), answer)?;
+    let is_good = |output: &CheckOutput| output.all_good() && !is_damaged;
     if let Ok(output) = &ran.output {
-        show(answer, output);
+        show(answer, output, is_good(output));
     }
-    Ok(ran.end(None, answer)?.all_good())
+    Ok(is_good(&ran.end(None, answer)?))
 }
 
-fn show(answer: &Answer, output: &CheckOutput) {
+fn show(answer: &Answer, output: &CheckOutput, is_good: bool) {
     let all: Vec<Value> = output.checked.iter().map(entry).collect();
     answer.put(json!({
         "checked": all,
         "together": output.together,
-        "ok": output.all_good(),
+        "ok": is_good,
     }));
     for checked in &output.checked {
         match checked {
@@ -104,11 +111,12 @@ fn entry(checked: &Checked) -> Value {
 }
 
 fn show_one(answer: &Answer, report: &SelfTestReport) {
-    let verdict = match report.verdict {
-        SelfTestVerdict::Good => "good",
-        SelfTestVerdict::Drifted => "drifted, calibrate soon",
-        SelfTestVerdict::Replace => "replace, calibrate",
+    let (verdict, hope) = match report.verdict {
+        SelfTestVerdict::Good => ("good", Hope::Held),
+        SelfTestVerdict::Drifted => ("drifted, calibrate soon", Hope::Partly),
+        SelfTestVerdict::Replace => ("replace, calibrate", Hope::Failed),
     };
+    let verdict = colour::verdict(verdict, hope);
     say!(
         answer,
         "{}: {verdict}: {}; one move is expected to end {:.2} um off",

@@ -4,10 +4,10 @@ use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
 use crate::output;
 use crate::progress::Watcher;
-use scopeservo_library::{CalibrationFile, Calibrations as _, KeptCalibration, utc};
+use scopeservo_library::{CalibrationFile, Calibrations as _, KeptCalibration};
 use scopeservo_report::{Context, Failure, Stored, Work, WorkEnd, work_html};
 use scopeservo_servo::ErrorKind;
-use std::time::{Instant, SystemTime};
+use std::time::Instant;
 
 /// Why it failed, where it did.
 pub(super) fn failure<T>(output: &Result<T, CliError>) -> Option<Failure> {
@@ -42,20 +42,15 @@ pub(super) fn work_page(
 /// What every page says of an instrument and of how it was made.
 pub(super) fn context(opened: &OpenInstrument) -> Context {
     Context {
+        specimen: opened.specimen(),
         instrument: opened.config.name.clone(),
         simulated: opened.is_simulated(),
         command: output::command_line(),
         version: env!("CARGO_PKG_VERSION").into(),
-        date: readable(&utc(SystemTime::now())),
+        date: output::date(),
         stored: stored(opened),
         ..Context::default()
     }
-}
-
-/// 2026-11-24T20:15:00Z as 2026-11-24 20:15 UTC.
-fn readable(utc: &str) -> String {
-    let minute = utc.get(..16).map(|t| t.replace('T', " "));
-    minute.map_or_else(|| utc.into(), |t| format!("{t} UTC"))
 }
 
 /// The calibrations of this instrument and camera that are kept, the newest of each objective. One that is damaged was told of before.
@@ -75,7 +70,7 @@ fn stored(opened: &OpenInstrument) -> Vec<Stored> {
                 Some(Stored {
                     calibration: kept.calibration,
                     file: path.display().to_string(),
-                    made: readable(&kept.made),
+                    made: output::readable(&kept.made),
                 })
             })
     };

@@ -4,6 +4,7 @@ use super::known_calibrations;
 use super::report::context;
 use crate::answer::Answer;
 use crate::args::RepositionArgs;
+use crate::colour;
 use crate::error::{CliError, Code};
 use crate::journal::Asked;
 use crate::open_instrument::{OpenInstrument, Ran};
@@ -150,9 +151,13 @@ fn keep(
     if ran.output.is_err() {
         return ran.end(None, answer).map(|_| false);
     }
+    let target = opened.library.target(name).map_or_else(
+        |_| name.into(),
+        |kept| format!("{name}, saved {} on {}", kept.saved, kept.instrument),
+    );
     let context = report::Context {
         title: format!("Back to {name}"),
-        target: name.into(),
+        target,
         wall_time_s: Some(seconds),
         convergence: Some(report::Convergence {
             position_px: servo.position_px,
@@ -191,7 +196,7 @@ fn foreign_scale(
 }
 
 fn show_outcome(answer: &Answer, outcome: &Outcome) {
-    let verdict = output::word(outcome.verdict);
+    let verdict = colour::verdict(output::word(outcome.verdict), outcome.verdict.into());
     say!(answer, "{verdict}: {}", outcome.message);
     // A calibration that is off looks like a specimen that is.
     let astray = [
@@ -209,8 +214,9 @@ fn show_outcome(answer: &Answer, outcome: &Outcome) {
         match (m.iterations, m.inliers, m.error_um, m.error_deg) {
             (Some(n), Some(inliers), Some(um), Some(deg)) => say!(
                 answer,
-                "  {:>4}  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {deg:8.4} deg",
-                m.objective
+                "  {:>4}  {n:>2} iterations  {inliers:>4} inliers  {um:7.3} um  {:>8} deg",
+                m.objective,
+                output::signed(deg, 4)
             ),
             _ => say!(answer, "  {:>4}  {}", m.objective, m.end.replace('_', " ")),
         }

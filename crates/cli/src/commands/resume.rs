@@ -62,7 +62,7 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
         AnyJob::Focus(job) => focus::run(&opened, *job, asked, answer),
         AnyJob::Calibrate(job) => calibrate::run(&opened, *job, asked, &args.report.out, answer),
         AnyJob::Grid(job) => grid::run(&opened, *job, asked, answer),
-        AnyJob::Check(job) => check::run(&opened, *job, asked, answer),
+        AnyJob::Check(job) => check::run(&opened, *job, asked, false, answer),
         AnyJob::SaveTarget(_) if library.target_path(name).is_ok() => {
             save_target::was_kept(&opened, name, answer)
         }

@@ -4,6 +4,8 @@ mod words;
 
 use crate::answer::Answer;
 use crate::args::DoctorArgs;
+use crate::colour::{self, Hope};
+use crate::commands::calibration_of;
 use crate::console::Told;
 use crate::error::{CliError, Code};
 use crate::open_instrument::OpenInstrument;
@@ -48,7 +50,10 @@ impl<'a> Findings<'a> {
     }
 
     pub(crate) fn add(&mut self, finding: Finding) {
-        let mark = if finding.ok { "ok " } else { "NO " };
+        let mark = match finding.ok {
+            true => "ok ".into(),
+            false => colour::verdict("NO ", Hope::Failed),
+        };
         match finding.said.is_empty() {
             true => say!(self.answer, "{mark} {}", finding.name),
             false => say!(self.answer, "{mark} {}: {}", finding.name, finding.said),
@@ -143,14 +148,14 @@ fn kept(opened: &OpenInstrument, findings: &mut Findings<'_>) {
             .map_err(|e| e.to_string()),
     );
     for objective in objectives {
-        let found = match opened.library.calibration(objective) {
+        let found = match calibration_of(opened, objective) {
             Ok(Some(kept)) => Ok(format!(
                 "{:.4} um per pixel, made {}",
                 kept.calibration.um_per_px(),
                 kept.made
             )),
             Ok(None) => Ok("none yet: made on the way, or by `scopeservo calibrate`".into()),
-            Err(error) => Err(error.to_string()),
+            Err(error) => Err(CliError::from(error).words()),
         };
         findings.look(&format!("calibration of {}", objective.id), found);
     }

@@ -92,7 +92,10 @@ pub(super) fn tried(
 /// The objectives up to the target's own, which comes last.
 fn ladder<'a>(target: &Target, objectives: &'a [Objective]) -> Vec<&'a Objective> {
     let own = objectives.iter().find(|o| o.id == target.objective);
-    let below = |o: &&Objective| own.is_some_and(|own| o.magnification <= own.magnification);
+    // Another of the same magnification is no step on the way, as in a run.
+    let below = |o: &&Objective| {
+        own.is_some_and(|own| o.id == own.id || o.magnification < own.magnification)
+    };
     let mut ladder: Vec<&Objective> = objectives.iter().filter(below).collect();
     ladder.sort_by(|a, b| a.magnification.total_cmp(&b.magnification));
     ladder
