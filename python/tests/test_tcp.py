@@ -153,10 +153,16 @@ class Tcp(unittest.TestCase):
         self.assertEqual(client.do("motion")["motion"], "settled")
 
 
+def connected() -> tuple[socket.socket, socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        theirs = socket.create_connection(listener.getsockname())
+        return listener.accept()[0], theirs
+
+
 class Hello(unittest.TestCase):
     def test_it_has_one_deadline_however_slowly_it_is_said(self) -> None:
         for drip in (b" ", b"x", b"{"):
-            ours, theirs = socket.socketpair()
+            ours, theirs = connected()
             with ours, theirs, mock.patch.object(serving, "HELLO_WAIT_S", 0.2):
                 channel = serving.SocketChannel(ours)
                 with self.assertRaises(TimeoutError):
@@ -166,7 +172,7 @@ class Hello(unittest.TestCase):
                         time.sleep(0.01)
 
     def test_who_is_in_has_as_long_as_he_likes(self) -> None:
-        ours, theirs = socket.socketpair()
+        ours, theirs = connected()
         with ours, theirs, mock.patch.object(serving, "HELLO_WAIT_S", 0.1):
             channel = serving.SocketChannel(ours)
             channel.accepted()
