@@ -36,10 +36,10 @@ pub enum LinkError {
         limit: usize,
     },
     /// Bytes that are not printable ASCII.
-    #[error("the answer is not text: byte {byte:#04x}")]
+    #[error("the answer is not text: '{line}'")]
     Garbage {
-        /// The first such byte.
-        byte: u8,
+        /// What came, such bytes as their codes.
+        line: String,
     },
     /// The other side ended the connection.
     #[error("the other side closed the connection")]
@@ -318,16 +318,41 @@ impl LineReader {
     }
 }
 
+fn is_text(byte: u8) -> bool {
+    byte == b'\t' || (b' '..=b'~').contains(&byte)
+}
+
 /// A line as text.
 ///
 /// # Errors
 /// [`LinkError::Garbage`] when it holds anything but printable ASCII and tabs.
 pub fn ascii(line: Vec<u8>) -> Result<String, LinkError> {
-    let wrong = |b: &&u8| !(**b == b'\t' || (b' '..=b'~').contains(*b));
-    match line.iter().find(wrong) {
-        Some(byte) => Err(LinkError::Garbage { byte: *byte }),
-        None => String::from_utf8(line).map_err(|_| LinkError::Garbage { byte: 0xff }),
+    match line.iter().all(|b| is_text(*b)) {
+        true => Ok(shown(&line)),
+        false => Err(LinkError::Garbage { line: shown(&line) }),
     }
+}
+
+/// A line as it may be shown: bytes that are no text as their codes, and no more than a line of a terminal holds.
+pub fn shown(line: &[u8]) -> String {
+    let mut shown = String::with_capacity(line.len());
+    for byte in line {
+        match is_text(*byte) {
+            true => shown.push(char::from(*byte)),
+            false => shown.push_str(&format!("\\x{byte:02x}")),
+        }
+    }
+    shown
+}
+
+/// A line from a board on a wire that is not free of noise. What is no text counts for nothing around a line: bytes of a start, and fillings
+/// between two lines. Within it, it stays, as its codes, so that no number is read out of what was damaged. `None` when nothing else came.
+pub fn past_noise(line: &[u8]) -> Option<String> {
+    let begin = line.iter().position(|b| is_text(*b))?;
+    // Behind a number a byte may have been a digit.
+    let fills = |b: &u8| b.is_ascii_control();
+    let end = line.iter().rposition(|b| !fills(b))?;
+    Some(shown(line.get(begin..=end)?))
 }
 
 #[cfg(test)]
@@ -452,8 +477,30 @@ mod tests {
             stay();
         });
         let (answer, took, _) = line(&tcp, 80);
-        assert_eq!(answer, Err(LinkError::Garbage { byte: 0xfe }));
+        let line = r"X\xfe\x00".to_string();
+        assert_eq!(answer, Err(LinkError::Garbage { line }));
         in_time(took);
+    }
+
+    #[test]
+    fn noise_around_a_line_is_passed_over_and_within_it_stays() {
+        for (line, text) in [
+            (&b"\xff\x00\x00start"[..], "start"),
+            (b"\0ok", "ok"),
+            (b"ok\0", "ok"),
+            (b"ok\r\r", "ok"),
+            (b"\x11\xfeX:1.00\x13\x7f", "X:1.00"),
+            // A digit may be gone.
+            (b"Count X:10\xff", r"Count X:10\xff"),
+            (b"X:1\x00.5", r"X:1\x00.5"),
+            (b"T:20 \xc2\xb0C", r"T:20 \xc2\xb0C"),
+            (b" say \"no\" \\", r#" say "no" \"#),
+        ] {
+            assert_eq!(past_noise(line).as_deref(), Some(text), "{line:?}");
+        }
+        for noise in [&b""[..], b"\0", b"\xff\x00\x9c", b"\r"] {
+            assert_eq!(past_noise(noise), None);
+        }
     }
 
     #[test]
