@@ -10,7 +10,7 @@ use crate::secret::Secret;
 use scopeservo_scope::{Camera, Clock, Devices, Light, Nosepiece, Stage};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::process::{Command, Stdio};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use thiserror::Error;
 
@@ -239,6 +239,7 @@ impl Driver {
                 clock: clock.clone(),
                 stage: on_stage,
                 patience: self.patience,
+                last: Mutex::default(),
             }) as Box<dyn Camera>),
             None => None,
         };

@@ -602,6 +602,41 @@ fn what_a_driver_says_is_shown_and_commands_no_terminal() {
     }
 }
 
+#[test]
+fn frames_that_are_not_counted_are_refused() {
+    // Which number each frame has, and whether it may.
+    for numbers in [
+        [(0, true), (0, false), (1, true)],
+        [(5, true), (4, false), (6, true)],
+        [(7, true), (9, true), (9, false)],
+    ] {
+        static NUMBER: std::sync::Mutex<u64> = std::sync::Mutex::new(0);
+        let (address, _told) = peer(HELLO, |line, stream| {
+            let id = id(line);
+            let number = *NUMBER.lock().unwrap();
+            if !line.contains("grab") {
+                return writeln!(stream, "{{\"id\":{id},\"ok\":true,\"exposure_ms\":10}}")
+                    .map(|()| true);
+            }
+            writeln!(
+                stream,
+                "{{\"id\":{id},\"ok\":true,\"channels\":1,\"bits\":8,\"exposure_ms\":10,\"sequence\":{number},\
+                 \"width_px\":8,\"height_px\":4,\"age_ms\":0.01,\"bytes\":32}}"
+            )?;
+            stream.write_all(&[7; 32]).map(|()| true)
+        });
+        let camera = devices(&address).camera.unwrap();
+        for (number, may) in numbers {
+            *NUMBER.lock().unwrap() = number;
+            let frame = camera.grab();
+            assert_eq!(frame.is_ok(), may, "{number}: {frame:?}");
+            if let Err(error) = frame {
+                assert!(error.to_string().contains("count its frames"), "{error}");
+            }
+        }
+    }
+}
+
 /// A program that says hello, and whatever `then` does after that, in its own folder.
 #[cfg(unix)]
 fn program(folder: &std::path::Path, then: &str) -> Driver {
