@@ -9,6 +9,8 @@ import signal
 import socket
 import sys
 import threading
+import time
+from collections.abc import Callable
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -19,6 +21,8 @@ from .standard_streams import protect_stdout
 
 READ_BYTES = 65536
 HELLO_WAIT_S = 15.0
+STRANGERS = 16
+ACCEPT_AGAIN_S = 0.05
 EXIT_WAIT_S = 3.0
 
 
@@ -42,10 +46,12 @@ class PipeChannel:
 
 
 class SocketChannel:
-    """One connection. Who does not get through hello in time is disconnected."""
+    """One connection. Who does not get through hello in time, however he spends it, is disconnected."""
 
-    def __init__(self, connection: socket.socket) -> None:
+    def __init__(self, connection: socket.socket, on_accepted: Callable[[], None] = lambda: None) -> None:
         self._connection = connection
+        self._on_accepted = on_accepted
+        self._deadline: float | None = time.monotonic() + HELLO_WAIT_S
         connection.settimeout(HELLO_WAIT_S)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         # A program whose machine has gone must not keep the driver in use for hours.
@@ -55,13 +61,42 @@ class SocketChannel:
                 connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
 
     def read(self) -> bytes:
+        if self._deadline is not None:
+            left_s = self._deadline - time.monotonic()
+            if left_s <= 0:
+                raise TimeoutError("hello did not come in time")
+            self._connection.settimeout(left_s)
         return self._connection.recv(READ_BYTES)
 
     def write(self, data: bytes) -> None:
         self._connection.sendall(data)
 
     def accepted(self) -> None:
+        self._deadline = None
         self._connection.settimeout(None)
+        self._on_accepted()
+
+
+class Strangers:
+    """The connections of those who have not said hello: never more than some, and the one that has been there longest goes."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waiting: list[socket.socket] = []
+
+    def add(self, connection: socket.socket) -> None:
+        with self._lock:
+            self._waiting.append(connection)
+            if len(self._waiting) > STRANGERS:
+                try:
+                    self._waiting.pop(0).shutdown(socket.SHUT_RDWR)
+                except OSError:
+                    pass  # it has gone
+
+    def remove(self, connection: socket.socket) -> None:
+        with self._lock:
+            if connection in self._waiting:
+                self._waiting.remove(connection)
 
 
 def serve(
@@ -105,28 +140,59 @@ def serve_tcp(
         raise ValueError(f"{host} can be reached from other machines: give a secret, or listen on 127.0.0.1")
     instrument = Instrument(stage, camera, nosepiece, light, name)
     _stop_on_signals(instrument, ends_on_interrupt=True)
-    in_use = threading.Lock()
     with socket.socket(family, socket.SOCK_STREAM) as listener:
         if os.name == "posix":
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
         listener.listen()
         print(f"{name}: listening on {host} port {listener.getsockname()[1]}", file=sys.stderr, flush=True)
-        while True:
-            connection, _ = listener.accept()
-            threading.Thread(
-                target=_converse, args=(instrument, connection, secret, in_use), daemon=True, name="connection"
-            ).start()
+        _receive(listener, instrument, secret)
 
 
-def _converse(instrument: Instrument, connection: socket.socket, secret: str | None, in_use: threading.Lock) -> None:
-    with connection:
-        session = Session(instrument, SocketChannel(connection), secret, claim=lambda: in_use.acquire(blocking=False))
+def _receive(listener: socket.socket, instrument: Instrument, secret: str | None) -> NoReturn:
+    in_use = threading.Lock()
+    strangers = Strangers()
+    trouble: str | None = None
+    while True:
         try:
-            session.run()
+            connection, _ = listener.accept()
+        except OSError as error:
+            # Too many files, say: some connections end, and the next may come.
+            if trouble != str(error):
+                trouble = str(error)
+                print(f"a connection could not be taken: {error}", file=sys.stderr, flush=True)
+            time.sleep(ACCEPT_AGAIN_S)
+            continue
+        trouble = None
+        strangers.add(connection)
+        threading.Thread(
+            target=_converse,
+            args=(instrument, connection, secret, in_use, strangers),
+            daemon=True,
+            name="connection",
+        ).start()
+
+
+def _converse(
+    instrument: Instrument,
+    connection: socket.socket,
+    secret: str | None,
+    in_use: threading.Lock,
+    strangers: Strangers,
+) -> None:
+    with connection:
+        try:
+            channel = SocketChannel(connection, on_accepted=lambda: strangers.remove(connection))
+            session = Session(instrument, channel, secret, claim=lambda: in_use.acquire(blocking=False))
+            try:
+                session.run()
+            finally:
+                if session.accepted:
+                    in_use.release()
+        except OSError:
+            pass  # it has gone already
         finally:
-            if session.accepted:
-                in_use.release()
+            strangers.remove(connection)
 
 
 def _stop_on_signals(instrument: Instrument, ends_on_interrupt: bool) -> None:

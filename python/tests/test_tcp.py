@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import hmac
+import io
 import re
 import socket
 import time
 import unittest
 from pathlib import Path
+from unittest import mock
 
 from support import Client, DriverProcess, Lamp
 
-from scopeservo_driver import serve_tcp
+from scopeservo_driver import serve_tcp, serving
 
 EXAMPLE = str(Path(__file__).with_name("example_driver.py"))
 SECRET = "ein sehr geheimes Wörtchen"
@@ -133,6 +136,61 @@ class Tcp(unittest.TestCase):
         time.sleep(0.3)
         self.assertEqual(client.do("motion")["motion"], "moving")
         self.assertNotIn("told to stop", driver.errors())
+
+    def test_strangers_take_nobodys_place_and_the_longest_there_go(self) -> None:
+        self.start(SECRET)
+        silent = [socket.create_connection(("127.0.0.1", self.port), timeout=20) for _ in range(serving.STRANGERS + 4)]
+        for stranger in silent:
+            self.addCleanup(stranger.close)
+        client = self.connect()
+        client.do("hello", protocol=1, proof=self.proof(self.nonce(client), SECRET))
+        for stranger in silent[:4]:
+            self.assertEqual(stranger.recv(1), b"")
+        more = [socket.create_connection(("127.0.0.1", self.port), timeout=20) for _ in range(serving.STRANGERS + 4)]
+        for stranger in more:
+            self.addCleanup(stranger.close)
+        self.assertEqual(more[0].recv(1), b"")
+        self.assertEqual(client.do("motion")["motion"], "settled")
+
+
+def connected() -> tuple[socket.socket, socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        theirs = socket.create_connection(listener.getsockname())
+        return listener.accept()[0], theirs
+
+
+class Hello(unittest.TestCase):
+    def test_it_has_one_deadline_however_slowly_it_is_said(self) -> None:
+        for drip in (b" ", b"x", b"{"):
+            ours, theirs = connected()
+            with ours, theirs, mock.patch.object(serving, "HELLO_WAIT_S", 0.2):
+                channel = serving.SocketChannel(ours)
+                with self.assertRaises(TimeoutError):
+                    while True:
+                        theirs.sendall(drip)
+                        channel.read()
+                        time.sleep(0.01)
+
+    def test_who_is_in_has_as_long_as_he_likes(self) -> None:
+        ours, theirs = connected()
+        with ours, theirs, mock.patch.object(serving, "HELLO_WAIT_S", 0.1):
+            channel = serving.SocketChannel(ours)
+            channel.accepted()
+            time.sleep(0.2)
+            theirs.sendall(b"x")
+            self.assertEqual(channel.read(), b"x")
+
+    def test_a_connection_that_cannot_be_taken_does_not_end_the_driver(self) -> None:
+        class Ended(BaseException):
+            pass
+
+        outcomes = [OSError("too many files"), OSError("too many files"), ConnectionAbortedError("gone"), Ended()]
+        listener = mock.Mock()
+        listener.accept.side_effect = outcomes
+        with contextlib.redirect_stderr(io.StringIO()) as said, self.assertRaises(Ended):
+            serving._receive(listener, mock.Mock(), None)
+        self.assertEqual(said.getvalue().count("too many files"), 1)
+        self.assertEqual(said.getvalue().count("gone"), 1)
 
 
 if __name__ == "__main__":

@@ -3,10 +3,9 @@
 use crate::args::TwinServeArgs;
 use crate::driver_check::read_secret;
 use crate::error::CliError;
-use scopeservo_protocol::{Offer, listen, serve};
+use scopeservo_protocol::{Offer, bind, listen, serve};
 use scopeservo_scope::{Camera, CameraInfo, Clock, Devices, Frame, ScopeError, SystemClock};
 use scopeservo_setup::{Config, TwinConfig};
-use std::net::TcpListener;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -95,7 +94,7 @@ pub(crate) fn run(args: &TwinServeArgs) -> Result<bool, CliError> {
     };
     let secret = args.secret_file.as_deref().map(read_secret).transpose()?;
     let failed = |e: std::io::Error| CliError::Usage(format!("cannot listen on {address}: {e}"));
-    let listener = TcpListener::bind(address).map_err(failed)?;
+    let listener = bind(address, secret.as_ref()).map_err(failed)?;
     let at = listener.local_addr().map_err(failed)?;
     tell!("scopeservo: the simulated microscope listens on {at}; Ctrl-C ends it");
     let told = |what: &str| tell!("scopeservo: a client was disconnected: {what}");

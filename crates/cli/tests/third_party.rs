@@ -300,3 +300,26 @@ fn camera_stage_mapping_measures_the_twin_as_we_do() {
     // Of 2.2 um per pixel. Ours is known to 0.0004 to 0.0007 and theirs scatters by as much.
     assert!(worst < 0.004, "{worst}");
 }
+
+#[test]
+#[ignore = "needs a Python with the packages of python/tests/requirements.txt: SCOPESERVO_PYTHON"]
+fn the_driver_of_the_python_packages_page_passes_its_own_check() {
+    let python = python();
+    let dir = tempfile::tempdir().unwrap();
+    let page = fs::read_to_string(repository().join("python/README.md")).unwrap();
+    let (_, code) = page.split_once("```python\n").expect("a driver");
+    let (code, after) = code.split_once("```").expect("its end");
+    // As the page says.
+    assert!(after.contains("scopeservo driver check -- python3 my_driver.py"));
+    fs::write(dir.path().join("my_driver.py"), code).unwrap();
+    let args = [
+        "driver",
+        "check",
+        "--json",
+        "--",
+        python.to_str().unwrap(),
+        "my_driver.py",
+    ];
+    let checked = ok(dir.path(), &args);
+    assert_eq!(checked["ok"], true, "{checked}");
+}

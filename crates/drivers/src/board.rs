@@ -33,7 +33,7 @@ impl Board {
             answered: true,
         };
         let timeout = ms(self.reply_timeout_ms);
-        let session = Session::new(transport, stop, self.max_line_bytes, timeout);
+        let session = Session::new(transport, stop, self.max_line_bytes, timeout).passing_noise();
         let give_up = Instant::now() + ms(self.boot_ms);
         wait_for_start(&mut session.exchange()?, give_up, self.quiet, is_start)?;
         Ok(session)

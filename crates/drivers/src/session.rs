@@ -1,8 +1,9 @@
 //! One open connection: whole questions and answers, one at a time; a stop that waits for neither; and the end of it all
 //! when an answer cannot be trusted.
 
-use crate::link::{LineReader, LinkError, Transport};
-use scopeservo_scope::ScopeError;
+use crate::link::{LineReader, LinkError, Transport, past_noise, shown};
+use scopeservo_scope::{ScopeError, visible};
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -44,6 +45,10 @@ pub(crate) struct Session {
     stops: AtomicU64,
     stop: StopBytes,
     reply_timeout: Duration,
+    /// Whether noise around a line is passed over.
+    noisy: bool,
+    /// What came since something was sent and was no answer.
+    unread: Mutex<Unread>,
 }
 
 /// How a device is told to stop.
@@ -69,6 +74,16 @@ impl Session {
             stops: AtomicU64::new(0),
             stop,
             reply_timeout,
+            noisy: false,
+            unread: Mutex::default(),
+        }
+    }
+
+    /// The same with a board on a wire that is not free of noise ([`past_noise`]).
+    pub(crate) fn passing_noise(self) -> Self {
+        Self {
+            noisy: true,
+            ..self
         }
     }
 
@@ -112,13 +127,18 @@ impl Session {
 
     /// Tells the device to stop, closes the link and says why.
     fn fail(&self, error: &LinkError) -> ScopeError {
-        self.close(&error.to_string());
-        match error {
-            LinkError::Silence => ScopeError::Timeout {
+        let unread = lock(&self.unread).shown();
+        let why = match (error, &unread) {
+            (LinkError::Silence, Some(lines)) => format!("{error}, only {lines}"),
+            _ => error.to_string(),
+        };
+        self.close(&why);
+        match (error, unread) {
+            (LinkError::Silence, None) => ScopeError::Timeout {
                 device: "stage",
                 seconds: self.reply_timeout.as_secs_f64(),
             },
-            other => device(other.to_string()),
+            _ => device(why),
         }
     }
 
@@ -140,6 +160,34 @@ impl Session {
         } else {
             self.transport.close();
         }
+    }
+}
+
+/// Lines that were no answers, as they are shown: the last few.
+#[derive(Default)]
+struct Unread(VecDeque<String>);
+
+impl Unread {
+    const MOST: usize = 3;
+
+    fn line(&mut self, line: &str) {
+        self.keep(format!("'{}'", visible(line)));
+    }
+
+    fn noise(&mut self, line: &[u8]) {
+        self.keep(format!("what is not text, '{}'", visible(&shown(line))));
+    }
+
+    fn keep(&mut self, shown: String) {
+        self.0.push_back(shown);
+        if self.0.len() > Self::MOST {
+            self.0.pop_front();
+        }
+    }
+
+    fn shown(&self) -> Option<String> {
+        let all: Vec<&str> = self.0.iter().map(String::as_str).collect();
+        (!all.is_empty()).then(|| all.join(", "))
     }
 }
 
@@ -188,6 +236,7 @@ impl Exchange<'_> {
                 return Err(ScopeError::Interrupted { at: None });
             }
             self.owed += std::mem::take(&mut *writing);
+            lock(&self.session.unread).0.clear();
             self.session.transport.write(bytes)
         };
         written.map_err(|e| self.session.fail(&e))
@@ -200,17 +249,45 @@ impl Exchange<'_> {
     }
 
     pub(crate) fn line(&mut self, deadline: Instant) -> Result<String, ScopeError> {
-        self.reader
-            .text(&*self.session.transport, deadline)
-            .map_err(|e| self.session.fail(&e))
+        self.text(deadline).map_err(|e| self.session.fail(&e))
     }
 
     /// A line if one comes until `deadline`; what came of the next one is kept.
     pub(crate) fn line_if_any(&mut self, deadline: Instant) -> Result<Option<String>, ScopeError> {
-        match self.reader.text(&*self.session.transport, deadline) {
+        match self.text(deadline) {
             Ok(line) => Ok(Some(line)),
             Err(LinkError::Silence | LinkError::HalfLine { .. }) => Ok(None),
             Err(e) => Err(self.session.fail(&e)),
+        }
+    }
+
+    fn text(&mut self, deadline: Instant) -> Result<String, LinkError> {
+        let transport = &*self.session.transport;
+        if !self.session.noisy {
+            return self.reader.text(transport, deadline);
+        }
+        loop {
+            let line = self.reader.bytes(transport, deadline)?;
+            match past_noise(&line) {
+                Some(line) => return Ok(line),
+                None if line.is_empty() => return Ok(String::new()),
+                None => lock(&self.session.unread).noise(&line),
+            }
+        }
+    }
+
+    /// Keeps a line that is no answer, to be shown if no answer comes.
+    pub(crate) fn pass_over(&self, line: &str) {
+        if !line.is_empty() {
+            lock(&self.session.unread).line(line);
+        }
+    }
+
+    /// What [`Exchange::pass_over`] has kept since something was sent, for the end of a sentence.
+    pub(crate) fn passed_over(&self) -> String {
+        match lock(&self.session.unread).shown() {
+            Some(lines) => format!("; what came is {lines}"),
+            None => String::new(),
         }
     }
 

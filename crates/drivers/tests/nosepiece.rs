@@ -62,6 +62,27 @@ fn hexapod(referenced: bool) -> Gcs2Emulator {
     Gcs2Emulator::serve(stage).unwrap()
 }
 
+#[test]
+fn a_nosepiece_is_turned_in_what_its_axis_is_counted_in() {
+    let turn = std::f64::consts::PI * 1e3;
+    let mut stage = EmulatedStage::hexapod_and(&[("A", turn)]);
+    stage.velocity = 3e3;
+    stage.axes[6].unit = b"MRAD".to_vec();
+    let emulator = Gcs2Emulator::serve(stage).unwrap();
+    let nosepiece = gcs2(&emulator).unwrap().nosepiece().unwrap();
+    for place in places() {
+        nosepiece.start_change(&id(&place.id)).unwrap();
+        assert_eq!(settled(|| nosepiece.poll()), Motion::Settled);
+        assert_eq!(nosepiece.current().unwrap(), Some(id(&place.id)));
+        let mrad = place.at_deg.to_radians() * 1e3;
+        assert!((emulator.truth()[6] - mrad).abs() < 1e-3);
+    }
+    let mut stage = EmulatedStage::hexapod_and(&[("A", 180.0)]);
+    stage.axes[6].unit = b"MM".to_vec();
+    let shifts = gcs2(&Gcs2Emulator::serve(stage).unwrap()).err().unwrap();
+    assert!(shifts.to_string().contains("so it shifts"), "{shifts}");
+}
+
 fn gcs2(emulator: &Gcs2Emulator) -> Result<Arc<Gcs2Stage>, ScopeError> {
     let mut settings =
         Gcs2Settings::hexapod(Kinematics::MovesMicroscope, PositiveZ::Closer, 0.1, 0.0001);

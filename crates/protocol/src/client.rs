@@ -1,5 +1,6 @@
 //! Starting or finding a driver, and what it speaks for.
 
+use crate::child;
 use crate::hello::Hello;
 use crate::link::{CallError, Link};
 use crate::message::{Call, Code, PROTOCOL};
@@ -9,7 +10,7 @@ use crate::secret::Secret;
 use scopeservo_scope::{Camera, Clock, Devices, Light, Nosepiece, Stage};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::process::{Command, Stdio};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use thiserror::Error;
 
@@ -98,10 +99,7 @@ impl Driver {
             .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped());
-        // Ctrl-C is ours to handle: the driver shall still be there to stop what moves.
-        #[cfg(unix)]
-        std::os::unix::process::CommandExt::process_group(&mut command, 0);
-        let child = command.spawn().map_err(failed)?;
+        let child = child::start(&mut command).map_err(failed)?;
         Self::greet(Link::child(child).map_err(failed)?, program.into(), None)
     }
 
@@ -241,6 +239,7 @@ impl Driver {
                 clock: clock.clone(),
                 stage: on_stage,
                 patience: self.patience,
+                last: Mutex::default(),
             }) as Box<dyn Camera>),
             None => None,
         };

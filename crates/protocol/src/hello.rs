@@ -9,6 +9,8 @@ use std::time::Duration;
 
 /// The largest frame side, pixels.
 const MAX_SIDE_PX: usize = 16_384;
+/// The longest name of an objective, characters.
+const MAX_ID: usize = 100;
 
 /// The reply to `hello`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -341,6 +343,13 @@ impl NosepieceHello {
             let id = ObjectiveId(hello.id.clone());
             if hello.id.trim().is_empty() || all.iter().any(|o| o.id == id) {
                 return Err(format!("the objective '{id}' has no name of its own"));
+            }
+            // A backslash is also what a character that cannot be shown has become.
+            if hello.id.contains('\\') || hello.id.chars().count() > MAX_ID {
+                return Err(format!(
+                    "the name of the objective '{id}' has a backslash, a character that cannot be shown, or more than {MAX_ID}: give it a \
+                     plain one"
+                ));
             }
             let objective = Objective {
                 id,

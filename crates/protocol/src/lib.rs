@@ -9,21 +9,25 @@
 
 #![warn(clippy::too_many_lines)]
 
+mod child;
 mod client;
 mod hello;
 mod link;
+mod listen;
 mod message;
 mod patience;
 mod remote;
 mod secret;
 mod server;
+mod visible;
 pub mod wire;
 
 pub use client::{Driver, DriverError};
 pub use hello::{
     AxisHello, CameraHello, Hello, LightHello, Moves, NosepieceHello, ObjectiveHello, StageHello,
 };
+pub use listen::{bind, listen};
 pub use message::{Call, Code, PROTOCOL, Place};
 pub use patience::Patience;
 pub use secret::Secret;
-pub use server::{Offer, listen, serve};
+pub use server::{Offer, serve};

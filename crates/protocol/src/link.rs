@@ -1,6 +1,8 @@
 //! The connection to a driver: numbered requests, replies in any order, time-outs, and the end of it.
 
+use crate::child;
 use crate::message::{Call, Code, Request};
+use crate::visible::make_visible;
 use crate::wire::{self, Object};
 use scopeservo_scope::ScopeError;
 use std::collections::HashMap;
@@ -8,12 +10,12 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::process::Child;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How long a driver that was told to end may take for it before it is killed.
-const GRACE: Duration = Duration::from_secs(5);
+/// How long a driver that another program started may take for its answer to `bye`.
+const FAREWELL: Duration = Duration::from_secs(2);
 
 /// A reply that came.
 pub(crate) struct Reply {
@@ -60,6 +62,8 @@ struct Shared {
     out: Mutex<Option<Box<dyn Write + Send>>>,
     end: Mutex<Option<End>>,
     next: AtomicU64,
+    /// Told when the driver says nothing any more.
+    silent: Mutex<Option<Receiver<()>>>,
     /// Waits for the driver's end, and ends it when that does not come.
     reaper: Mutex<Option<std::thread::JoinHandle<()>>>,
 }
@@ -140,6 +144,7 @@ impl Link {
     }
 
     fn start(from: Box<dyn Read + Send>, to: Box<dyn Write + Send>, end: End) -> Self {
+        let (fall_silent, silent) = sync_channel(1);
         let shared = Arc::new(Shared {
             state: Mutex::new(State {
                 waiting: HashMap::new(),
@@ -148,12 +153,17 @@ impl Link {
             out: Mutex::new(Some(to)),
             end: Mutex::new(Some(end)),
             next: AtomicU64::new(1),
+            silent: Mutex::new(Some(silent)),
             reaper: Mutex::new(None),
         });
         let reading = shared.clone();
         std::thread::spawn(move || {
-            let reason = reading.read(&mut BufReader::new(from));
+            let stream = &mut BufReader::new(from);
+            let reason = reading.read(stream);
             reading.close(&reason);
+            // What it still says is for nobody, but it must be able to say it: the answer to `bye`, a frame.
+            let _ = std::io::copy(stream, &mut std::io::sink());
+            let _ = fall_silent.send(());
         });
         Self {
             _goodbye: Arc::new(Goodbye(shared.clone())),
@@ -267,12 +277,13 @@ impl Shared {
     /// Hands out replies until there are no more, and tells why.
     fn read(&self, stream: &mut impl BufRead) -> String {
         loop {
-            let object = match wire::read_line(stream) {
+            let mut object = match wire::read_line(stream) {
                 Ok(Some(object)) => object,
                 Ok(None) => return "it ended".into(),
                 Err(error) => return error.to_string(),
             };
             let at = Instant::now();
+            make_visible(&mut object);
             let id = object.get("id").and_then(serde_json::Value::as_u64);
             let waiting = id.and_then(|id| lock(&self.state).waiting.remove(&id));
             let Some(waiting) = waiting else {
@@ -327,27 +338,27 @@ impl Shared {
             let _ = waiting.answer.try_send(Err(reason.to_owned()));
         }
         // What cannot be stopped by asking is stopped by the end of its input.
-        let out = lock(&self.out).take();
-        if let Some(mut out) = out.filter(|_| farewell) {
+        let mut out = lock(&self.out).take();
+        if let Some(out) = out.as_mut().filter(|_| farewell) {
             let id = self.next.fetch_add(2, Ordering::SeqCst);
             for (id, call) in [(id, Call::Stop), (id + 1, Call::Bye)] {
-                let _ = wire::write(&mut out, &Request { id, call }, &[]);
+                let _ = wire::write(out, &Request { id, call }, &[]);
             }
         }
-        match lock(&self.end).take() {
-            Some(End::Child(mut child)) => {
-                let reaper = std::thread::spawn(move || {
-                    let start = Instant::now();
-                    while matches!(child.try_wait(), Ok(None)) && start.elapsed() < GRACE {
-                        std::thread::sleep(Duration::from_millis(10));
-                    }
-                    let _ = child.kill();
-                    let _ = child.wait();
-                });
-                *lock(&self.reaper) = Some(reaper);
-            }
-            Some(End::Tcp(stream)) => drop(stream.shutdown(Shutdown::Both)),
-            None => {}
-        }
+        drop(out);
+        let silent = lock(&self.silent).take();
+        let reaper = match lock(&self.end).take() {
+            Some(End::Child(child)) => std::thread::spawn(move || child::end(child)),
+            Some(End::Tcp(stream)) => std::thread::spawn(move || {
+                if farewell {
+                    // The end of its input, as for a program: it answers `bye` and goes.
+                    let _ = stream.shutdown(Shutdown::Write);
+                    let _ = silent.map(|silent| silent.recv_timeout(FAREWELL));
+                }
+                let _ = stream.shutdown(Shutdown::Both);
+            }),
+            None => return,
+        };
+        *lock(&self.reaper) = Some(reaper);
     }
 }

@@ -243,6 +243,8 @@ pub(crate) struct RemoteCamera {
     /// The stage of the same driver, which answers also while a frame is exposed.
     pub(crate) stage: Option<Remote>,
     pub(crate) patience: Patience,
+    /// The number of the last frame.
+    pub(crate) last: Mutex<Option<u64>>,
 }
 
 #[derive(Deserialize)]
@@ -270,6 +272,20 @@ impl RemoteCamera {
             }
         }
         Err(self.remote.nonsense(&format!("{what} is {ms} ms")))
+    }
+
+    /// A number that does not rise is that of an image which was sent before.
+    fn counts(&self, sequence: u64) -> Result<(), ScopeError> {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        match last.replace(sequence) {
+            Some(before) if before >= sequence => Err(ScopeError::Device {
+                device: "camera",
+                detail: format!(
+                    "frame {sequence} came after frame {before}: the driver must count its frames (sequence), and send each only once"
+                ),
+            }),
+            _ => Ok(()),
+        }
     }
 
     fn ask_exposure(&self, exposure_ms: Option<f64>) -> Result<Duration, ScopeError> {
@@ -334,6 +350,7 @@ impl Camera for RemoteCamera {
             let what = format!("a frame of {shape:?} where {agreed:?} was agreed on");
             return Err(self.remote.nonsense(&what));
         }
+        self.counts(head.sequence)?;
         let age = self.duration(head.age_ms, "the frame's age")?;
         let since_asked = reply.at.saturating_duration_since(asked_at);
         if age > since_asked + CLOCK_SLACK {

@@ -8,14 +8,10 @@ use scopeservo_scope::{
     Camera, Devices, ErrorKind, ObjectiveId, Samples, ScopeError, Stage, StagePose,
 };
 use serde_json::{Value, json};
-use std::io::{BufRead, BufReader, Write};
-use std::net::{TcpListener, TcpStream};
+use std::io::{BufRead, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-
-/// How long a stranger may take to say hello.
-const PATIENCE: Duration = Duration::from_secs(15);
 
 /// The devices that are offered.
 pub struct Offer {
@@ -115,10 +111,7 @@ impl Offer {
         let nosepiece = devices.nosepiece.as_deref();
         let nosepiece = || nosepiece.ok_or_else(|| no_such("nosepiece"));
         let reply = match call {
-            Call::Hello { protocol, .. } if *protocol != PROTOCOL => {
-                let message = format!("this driver speaks version {PROTOCOL} of the protocol");
-                return Err(Refusal(Code::Unsupported, message));
-            }
+            Call::Hello { protocol, .. } if *protocol != PROTOCOL => return Err(other_version()),
             Call::Hello { .. } => json!(self.hello()?),
             Call::Position => json!(Place::from(&stage()?.position()?)),
             Call::Move(place) => {
@@ -197,7 +190,8 @@ fn no_such(device: &str) -> Refusal {
     Refusal(Code::Unsupported, format!("there is no {device} here"))
 }
 
-/// Speaks for `offer` until the input ends or says `bye`, then stops what moves. With a secret, nothing is done before it is proved.
+/// Speaks for `offer` until the input ends or says `bye`, then stops what moves. Nothing is done before `hello`, nor, with a secret, before
+/// that is proved.
 ///
 /// # Errors
 /// [`WireError`] when what comes in is no message; what moves is stopped then, too.
@@ -208,25 +202,23 @@ pub fn serve<W: Write + Send>(
     output: W,
 ) -> Result<(), WireError> {
     let only = Seats::default();
-    converse(offer, secret, input, output, Seat(&only), &|| Ok(()))
+    converse(offer, secret, input, output, &only, &|| Ok(()))
 }
 
-/// As [`serve`], for the client in `seat`; `admitted` is told once the secret was proved.
-fn converse<W: Write + Send>(
+/// As [`serve`], for a client that takes a seat once it has said hello; `admitted` is told then.
+pub(crate) fn converse<W: Write + Send>(
     offer: &Offer,
     secret: Option<&Secret>,
     input: &mut impl BufRead,
     output: W,
-    seat: Seat<'_>,
+    seats: &Seats,
     admitted: &dyn Fn() -> std::io::Result<()>,
 ) -> Result<(), WireError> {
     let out = Out(Mutex::new(output));
-    let seats = seat.0;
     std::thread::scope(|scope| -> Result<(), WireError> {
-        // Whatever ends the conversation: before a frame that is still being exposed is waited for.
-        let _end = AtEnd(offer, seat);
-        let mut known = secret.is_none();
-        let mut challenge: Option<String> = None;
+        let mut door = Door::new(secret);
+        // Whatever ends the conversation: before a frame that is still being exposed is waited for. Who was not let in stops nothing.
+        let mut inside: Option<AtEnd<'_>> = None;
         let exposing = Arc::new(AtomicBool::new(false));
         while let Some(object) = wire::read_line(input)? {
             let Some(id) = object.get("id").and_then(Value::as_u64) else {
@@ -239,26 +231,23 @@ fn converse<W: Write + Send>(
                     continue;
                 }
             };
-            if let (false, Some(secret)) = (known, secret) {
-                let proof = match &call {
-                    Call::Hello { proof, .. } => proof.as_deref(),
-                    _ => Some(""),
-                };
-                match (proof, challenge.take()) {
-                    (None, None) => {
-                        let nonce = nonce()?;
+            if inside.is_none() {
+                match door.knock(&call, seats)? {
+                    Knock::In(seat) => {
+                        inside = Some(AtEnd(offer, seat));
+                        admitted()?;
+                    }
+                    Knock::Prove(nonce) => {
                         let message =
                             object_with(Code::Secret, "prove that you know the secret", id, &nonce);
                         wire::write(&mut *out.lock(), &message, &[])?;
-                        challenge = Some(nonce);
                         continue;
                     }
-                    (Some(proof), Some(nonce)) if secret.proves(&nonce, proof) => {
-                        known = true;
-                        admitted()?;
+                    Knock::Again(no) => {
+                        out.reply(id, Err(no))?;
+                        continue;
                     }
-                    _ => {
-                        let no = Refusal(Code::Refused, "that is not the secret".into());
+                    Knock::Out(no) => {
                         out.reply(id, Err(no))?;
                         return Ok(());
                     }
@@ -290,6 +279,68 @@ fn converse<W: Write + Send>(
     })
 }
 
+/// Where a client waits until it has said hello.
+struct Door<'a> {
+    secret: Option<&'a Secret>,
+    /// What its proof is asked of.
+    challenge: Option<String>,
+}
+
+/// What becomes of a call of somebody who was not let in yet.
+enum Knock<'a> {
+    In(Seat<'a>),
+    Prove(String),
+    /// It may try again.
+    Again(Refusal),
+    Out(Refusal),
+}
+
+impl<'a> Door<'a> {
+    fn new(secret: Option<&'a Secret>) -> Self {
+        Self {
+            secret,
+            challenge: None,
+        }
+    }
+
+    fn knock<'s>(&mut self, call: &Call, seats: &'s Seats) -> std::io::Result<Knock<'s>> {
+        let refused = |why: &str| Refusal(Code::Refused, why.into());
+        let Call::Hello {
+            protocol, proof, ..
+        } = call
+        else {
+            return Ok(Knock::Again(match self.secret {
+                Some(_) => refused("prove with hello that you know the secret"),
+                None => Refusal(Code::BadRequest, "say hello first".into()),
+            }));
+        };
+        if *protocol != PROTOCOL {
+            return Ok(Knock::Again(other_version()));
+        }
+        if let Some(secret) = self.secret {
+            match (proof, self.challenge.take()) {
+                (None, None) => {
+                    let nonce = nonce()?;
+                    self.challenge = Some(nonce.clone());
+                    return Ok(Knock::Prove(nonce));
+                }
+                (Some(proof), Some(nonce)) if secret.proves(&nonce, proof) => {}
+                _ => return Ok(Knock::Out(refused("that is not the secret"))),
+            }
+        }
+        let taken = || {
+            let why = "another program is connected; one at a time";
+            Refusal(Code::Busy, why.into())
+        };
+        Ok(seats.take().map_or_else(|| Knock::Out(taken()), Knock::In))
+    }
+}
+
+fn other_version() -> Refusal {
+    let message = format!("this driver speaks version {PROTOCOL} of the protocol");
+    Refusal(Code::Unsupported, message)
+}
+
 /// Stops everything when it goes, as nobody is left to say it, and after that gives up the seat.
 struct AtEnd<'a>(
     &'a Offer,
@@ -305,7 +356,7 @@ impl Drop for AtEnd<'_> {
 /// What there is once, however many come: the seat of a client, and the camera's time. A frame that was left behind is still exposed
 /// while the next client is let in already.
 #[derive(Default)]
-struct Seats {
+pub(crate) struct Seats {
     taken: AtomicBool,
     frame: Mutex<()>,
 }
@@ -324,7 +375,7 @@ impl Seats {
 }
 
 /// The seat of a client, free again when this goes.
-struct Seat<'a>(&'a Seats);
+pub(crate) struct Seat<'a>(&'a Seats);
 
 impl Drop for Seat<'_> {
     fn drop(&mut self) {
@@ -344,71 +395,4 @@ fn request(object: Object) -> Result<Call, Refusal> {
 
 fn object_with(code: Code, message: &str, id: u64, nonce: &str) -> Value {
     json!({"id": id, "error": code, "message": message, "nonce": nonce})
-}
-
-/// Serves one client after the other on a TCP port, until the listener fails. A second client at the same time is told that the first
-/// is there. `told` hears how a conversation ended when it did not end well.
-///
-/// # Errors
-/// [`std::io::ErrorKind::PermissionDenied`] for an address that other machines can reach, without a secret; those of the listener.
-pub fn listen(
-    listener: &TcpListener,
-    offer: &Offer,
-    secret: Option<&Secret>,
-    told: &(dyn Fn(&str) + Sync),
-) -> std::io::Result<()> {
-    let address = listener.local_addr()?;
-    if !address.ip().is_loopback() && secret.is_none() {
-        return Err(std::io::Error::new(
-            std::io::ErrorKind::PermissionDenied,
-            format!(
-                "{address} can be reached from other machines: give a secret, or listen on 127.0.0.1"
-            ),
-        ));
-    }
-    let seats = Seats::default();
-    std::thread::scope(|scope| {
-        for stream in listener.incoming() {
-            let stream = stream?;
-            let seats = &seats;
-            scope.spawn(move || match seats.take() {
-                None => drop(turn_away(&stream)),
-                Some(seat) => {
-                    if let Err(error) = client(&stream, offer, secret, seat) {
-                        told(&error.to_string());
-                    }
-                }
-            });
-        }
-        Ok(())
-    })
-}
-
-fn client(
-    stream: &TcpStream,
-    offer: &Offer,
-    secret: Option<&Secret>,
-    seat: Seat<'_>,
-) -> Result<(), WireError> {
-    stream.set_nodelay(true)?;
-    stream.set_write_timeout(Some(PATIENCE))?;
-    if secret.is_some() {
-        // A stranger must not keep the place by saying nothing.
-        stream.set_read_timeout(Some(PATIENCE))?;
-    }
-    let admitted = || stream.set_read_timeout(None);
-    let input = &mut BufReader::new(stream);
-    converse(offer, secret, input, stream, seat, &admitted)
-}
-
-fn turn_away(stream: &TcpStream) -> Result<(), WireError> {
-    stream.set_read_timeout(Some(PATIENCE))?;
-    stream.set_write_timeout(Some(PATIENCE))?;
-    let mut input = BufReader::new(stream);
-    if let Some(object) = wire::read_line(&mut input)? {
-        let id = object.get("id").and_then(Value::as_u64).unwrap_or(0);
-        let no = json!({"id": id, "error": Code::Busy, "message": "another program is connected; one at a time"});
-        wire::write(&mut &*stream, &no, &[])?;
-    }
-    Ok(())
 }

@@ -40,6 +40,11 @@ const ODD: [&[u8]; 10] = [
 
 fn damaged(random: &mut Random) -> Vec<u8> {
     let mut bytes = Vec::new();
+    // Nothing else is answered before.
+    if random.below(8) > 0 {
+        bytes.extend_from_slice(SOUND[0].as_bytes());
+        bytes.push(b'\n');
+    }
     for _ in 0..1 + random.below(4) {
         let mut line = SOUND[random.below(SOUND.len())].as_bytes().to_vec();
         for _ in 0..random.below(4) {

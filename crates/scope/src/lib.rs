@@ -36,6 +36,7 @@ mod rules;
 mod stage;
 mod still;
 mod units;
+mod visible;
 
 pub use absent::Absent;
 pub use breach::Breach;
@@ -57,3 +58,4 @@ pub use rules::{AxisRange, ChangeRule, LargestStep, Limits, Rules, Workspace, Zo
 pub use stage::{AxisInfo, Kinematics, Motion, PositiveZ, Stage, StageInfo};
 pub use still::stand_still;
 pub use units::{Angle, Length};
+pub use visible::visible;

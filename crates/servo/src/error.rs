@@ -111,7 +111,7 @@ pub enum ServoError {
     /// An axis was moved, and the image stayed.
     #[error(
         "calibration of {objective} was refused: {axis} was sent {}, and the image did not follow: {axis} stands, or all that is seen is on the \
-         camera. Look whether it is switched on, free and not held, and that the slide lies on it",
+         camera. Look whether it is switched on, free and not held, that the slide lies on it, and at its unit: a thousandth of a move looks like none",
         way_in_words(*axis, *asked)
     )]
     AxisStands {
@@ -232,7 +232,7 @@ pub enum ServoError {
     /// The image does not move with the stage.
     #[error(
         "whether {objective} is active could not be seen: the stage moved by {moved_um:.1} um, and the image stayed. Check that \
-         the objective has clicked in and that the slide is held"
+         the objective has clicked in, that the slide is held, and the stage's unit: a thousandth of a move looks like none"
     )]
     PictureStays {
         /// The objective that is said to be there.

@@ -92,5 +92,5 @@ pub use switching::{FocusSwitch, Switching, SwitchingOptions, SwitchingReport};
 pub use target::{
     InFocus, Picture, SaveOptions, SaveTarget, Taken, Target, TargetQuality, Tried, Weakness,
 };
-pub use trial::{Drift, drift_seen, scale_seen};
+pub use trial::{Drift, drift_seen, first_step, scale_seen};
 pub use vision::VisionOptions;

@@ -102,7 +102,12 @@ fn shift(before: &Features, after: &Features, vision: &VisionOptions) -> Option<
     Some((offset, estimate.sigma_px))
 }
 
-fn first_step(scope: &Instrument, vision: &VisionOptions) -> Result<(), ServoError> {
+/// Moves the stage by a very small step and comes back, and sees whether the image goes much farther than that: where nobody knows yet whether
+/// the stage's unit is right. What cannot be told from these images is left to the larger step.
+///
+/// # Errors
+/// [`ServoError::MovesTooFar`], and what the instrument reports.
+pub fn first_step(scope: &Instrument, vision: &VisionOptions) -> Result<(), ServoError> {
     let info = scope.camera().info();
     let side_px = info.width.min(info.height) as f64;
     let scales = scope.gate().objectives().iter();

@@ -3,7 +3,7 @@
 
 use crate::link::{LinkError, Tcp, Transport};
 use base64::Engine as _;
-use scopeservo_scope::ScopeError;
+use scopeservo_scope::{ScopeError, visible};
 use std::time::{Duration, Instant};
 use thiserror::Error;
 
@@ -209,7 +209,13 @@ pub fn decode_head(bytes: &[u8]) -> Result<Option<(Head, usize)>, HttpError> {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut answer = httparse::Response::new(&mut headers);
     let not_http = |what: String| HttpError::NotHttp(what);
-    let length = match answer.parse(bytes) {
+    // As browsers do: a line that is no header counts for nothing.
+    let lenient = httparse::ParserConfig::default()
+        .ignore_invalid_headers_in_responses(true)
+        .allow_spaces_after_header_name_in_responses(true)
+        .allow_obsolete_multiline_headers_in_responses(true)
+        .clone();
+    let length = match lenient.parse_response(&mut answer, bytes) {
         Ok(httparse::Status::Complete(length)) => length,
         Ok(httparse::Status::Partial) if bytes.len() >= MAX_HEAD_BYTES => {
             return Err(not_http(format!(
@@ -227,8 +233,12 @@ pub fn decode_head(bytes: &[u8]) -> Result<Option<(Head, usize)>, HttpError> {
         std::str::from_utf8(found.value).ok().map(str::trim)
     };
     let chunked = header("Transfer-Encoding").is_some_and(|v| !v.eq_ignore_ascii_case("identity"));
+    // What has no end has no length, whatever it says.
+    let kind = header("Content-Type").unwrap_or_default();
+    let stream = kind.to_ascii_lowercase().starts_with("multipart/");
     let coding = match (chunked, header("Content-Length")) {
         (true, _) => Coding::Chunked(Chunk::Size(Vec::new())),
+        (false, _) if stream => Coding::UntilClosed,
         (false, Some(text)) => Coding::Length(
             text.parse()
                 .map_err(|_| not_http(format!("a length of '{text}'")))?,
@@ -238,7 +248,7 @@ pub fn decode_head(bytes: &[u8]) -> Result<Option<(Head, usize)>, HttpError> {
     let head = Head {
         status: answer.code.unwrap_or(0),
         reason: answer.reason.unwrap_or_default().to_string(),
-        content_type: header("Content-Type").unwrap_or_default().to_string(),
+        content_type: kind.to_string(),
         location: header("Location").map(str::to_string),
         authenticate: header("WWW-Authenticate").map(str::to_string),
         coding,
@@ -276,8 +286,8 @@ impl Head {
         };
         Err(HttpError::Status {
             status: self.status,
-            reason: self.reason.clone(),
-            hint,
+            reason: visible(&self.reason),
+            hint: visible(&hint),
         })
     }
 

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 pub type View = Arc<dyn Fn() -> Vec<u8> + Send + Sync>;
 
 /// How the camera sends its stream.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy)]
 pub enum Sending {
     /// Each image with its length, the answer without.
     Sized,
@@ -20,6 +20,13 @@ pub enum Sending {
     Unsized,
     /// The whole answer in chunks.
     Chunked,
+    /// As other cameras do.
+    Own {
+        /// The head of the answer, without its end.
+        head: &'static str,
+        /// A part, of an image.
+        part: fn(&[u8]) -> Vec<u8>,
+    },
 }
 
 /// What goes wrong with the answers from now on.
@@ -243,7 +250,7 @@ fn send_stream(
     camera: &EmulatedCamera,
     over: &AtomicBool,
 ) -> std::io::Result<()> {
-    let chunked = camera.sending == Sending::Chunked;
+    let chunked = matches!(camera.sending, Sending::Chunked);
     let coding = if chunked {
         "Transfer-Encoding: chunked\r\n"
     } else {
@@ -252,7 +259,10 @@ fn send_stream(
     let head = format!(
         "HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n{coding}\r\n"
     );
-    stream.write_all(head.as_bytes())?;
+    match camera.sending {
+        Sending::Own { head, .. } => stream.write_all(format!("{head}\r\n\r\n").as_bytes())?,
+        _ => stream.write_all(head.as_bytes())?,
+    }
     let mut on_the_way = VecDeque::new();
     while !over.load(Ordering::SeqCst) {
         on_the_way.push_back((Instant::now(), (camera.view)()));
@@ -288,6 +298,9 @@ fn send_stream(
         let mut part = format!("--frame\r\nContent-Type: image/jpeg\r\n{size}\r\n").into_bytes();
         part.extend_from_slice(&picture);
         part.extend_from_slice(b"\r\n");
+        if let Sending::Own { part: own, .. } = camera.sending {
+            part = own(&picture);
+        }
         if chunked {
             // The border between chunks falls anywhere.
             let (a, b) = part.split_at(part.len() / 3);

@@ -82,6 +82,7 @@ impl GcodeEmulator {
             deaf: false,
             takes_along: 0.0,
             says: Vec::new(),
+            words: None,
             heard: Vec::new(),
         })
     }
@@ -115,6 +116,10 @@ impl GcodeEmulator {
     pub fn say(&self, line: &str) {
         self.device().says.extend(format!("{line}\n").bytes());
     }
+    /// From now on every line that it says goes out as this makes it, for other firmware and bad wires.
+    pub fn say_as(&self, words: impl FnMut(&str) -> Vec<u8> + Send + 'static) {
+        self.device().words = Some(Box::new(words));
+    }
     /// Stands still as if it had met an obstacle.
     pub fn block(&self) {
         self.device().stand();
@@ -124,6 +129,9 @@ impl GcodeEmulator {
         self.device().heard.clone()
     }
 }
+
+/// What becomes of a line on its way out, its end included.
+type Words = Box<dyn FnMut(&str) -> Vec<u8> + Send>;
 
 /// What the board waits for before it goes on with its queue.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -156,6 +164,7 @@ pub struct Board {
     deaf: bool,
     takes_along: f64,
     says: Vec<u8>,
+    words: Option<Words>,
     heard: Vec<String>,
 }
 
@@ -326,6 +335,29 @@ impl Board {
 
 impl Device for Board {
     fn hear(&mut self, byte: u8, says: &mut Vec<u8>) {
+        let mut plain = Vec::new();
+        self.take(byte, &mut plain);
+        self.send(&plain, says);
+    }
+
+    fn tick(&mut self, says: &mut Vec<u8>) {
+        let mut plain = Vec::new();
+        self.go_on(&mut plain);
+        self.send(&plain, says);
+    }
+}
+
+impl Board {
+    fn send(&mut self, plain: &[u8], says: &mut Vec<u8>) {
+        let Some(words) = &mut self.words else {
+            return says.extend(plain);
+        };
+        for line in String::from_utf8_lossy(plain).lines() {
+            says.extend(words(line));
+        }
+    }
+
+    fn take(&mut self, byte: u8, says: &mut Vec<u8>) {
         if byte != b'\n' {
             self.line.push(byte);
             return;
@@ -340,10 +372,10 @@ impl Device for Board {
             self.stop();
         }
         self.queue.push_back(command);
-        self.tick(says);
+        self.go_on(says);
     }
 
-    fn tick(&mut self, says: &mut Vec<u8>) {
+    fn go_on(&mut self, says: &mut Vec<u8>) {
         says.append(&mut self.says);
         loop {
             match self.waits {

@@ -8,10 +8,12 @@ use std::time::{Duration, Instant};
 pub struct EmulatedAxis {
     /// The controller's name for it.
     pub name: String,
-    /// Lower end of travel, mm or deg.
+    /// Lower end of travel, in its unit.
     pub low: f64,
-    /// Upper end of travel, mm or deg.
+    /// Upper end of travel, in its unit.
     pub high: f64,
+    /// What it is counted in, as the controller writes it.
+    pub unit: Vec<u8>,
 }
 
 /// What is emulated.
@@ -27,6 +29,8 @@ pub struct EmulatedStage {
     pub referenced: bool,
     /// How long a reference move takes.
     pub reference_ms: u64,
+    /// Commands that it does not know.
+    pub unknown: Vec<&'static str>,
 }
 
 impl EmulatedStage {
@@ -41,6 +45,10 @@ impl EmulatedStage {
             name: (*name).into(),
             low: -end,
             high: *end,
+            unit: match *name {
+                "X" | "Y" | "Z" => b"MM".to_vec(),
+                _ => b"DEG".to_vec(),
+            },
         };
         let ends = [
             ("X", 22.5),
@@ -56,6 +64,7 @@ impl EmulatedStage {
             velocity: 5.0,
             referenced: true,
             reference_ms: 150,
+            unknown: Vec::new(),
         }
     }
 }
@@ -281,11 +290,12 @@ impl Controller {
         (self.from, self.goal) = (from, goal);
     }
 
-    fn list(&self, which: &[usize], value: impl Fn(usize) -> String, says: &mut Vec<u8>) {
+    fn list(&self, which: &[usize], value: impl Fn(usize) -> Vec<u8>, says: &mut Vec<u8>) {
         for (i, at) in which.iter().enumerate() {
             let end = if i + 1 < which.len() { " \n" } else { "\n" };
-            let line = format!("{}={}{end}", self.stage.axes[*at].name, value(*at));
-            says.extend(line.bytes());
+            says.extend(format!("{}=", self.stage.axes[*at].name).bytes());
+            says.extend(value(*at));
+            says.extend(end.bytes());
         }
     }
 
@@ -296,6 +306,7 @@ impl Controller {
         };
         let still = self.part() >= 1.0;
         match *command {
+            unknown if self.stage.unknown.contains(&unknown) => self.error = 2,
             "*IDN?" => says.extend(b"(c) Emulated Instrumente, C-887, 0, 1.0\n"),
             "SAI?" => {
                 let names: Vec<&str> = self.stage.axes.iter().map(|a| a.name.as_str()).collect();
@@ -305,18 +316,22 @@ impl Controller {
                 says.extend(format!("{}\n", self.error).bytes());
                 self.error = 0;
             }
-            "POS?" | "ONT?" | "FRF?" | "TMN?" | "TMX?" | "VEL?" => {
+            "POS?" | "ONT?" | "FRF?" | "TMN?" | "TMX?" | "VEL?" | "PUN?" => {
                 let Some(which) = self.chosen(rest) else {
                     return;
                 };
                 let place = self.place();
-                let value = |at: usize| match *command {
-                    "POS?" => format!("{:.6}", place[at]),
-                    "ONT?" => u8::from(still && !self.never_on_target).to_string(),
-                    "FRF?" => u8::from(self.referenced[at]).to_string(),
-                    "TMN?" => format!("{:.6}", self.stage.axes[at].low),
-                    "TMX?" => format!("{:.6}", self.stage.axes[at].high),
-                    _ => format!("{:.6}", self.velocities[at]),
+                let value = |at: usize| {
+                    let text = match *command {
+                        "PUN?" => return self.stage.axes[at].unit.clone(),
+                        "POS?" => format!("{:.6}", place[at]),
+                        "ONT?" => u8::from(still && !self.never_on_target).to_string(),
+                        "FRF?" => u8::from(self.referenced[at]).to_string(),
+                        "TMN?" => format!("{:.6}", self.stage.axes[at].low),
+                        "TMX?" => format!("{:.6}", self.stage.axes[at].high),
+                        _ => format!("{:.6}", self.velocities[at]),
+                    };
+                    text.into_bytes()
                 };
                 self.list(&which, value, says);
             }

@@ -123,8 +123,10 @@ fn number(value: f64) -> Result<f64, CodecError> {
 pub struct Report {
     /// Axis letters and where the last move sent ends, mm.
     pub planned_mm: Vec<(char, f64)>,
-    /// Axis letters and where the steppers are, steps.
+    /// Axis letters and where the steppers are, steps; empty where the board does not say it, or not in steps of axes.
     pub steps: Vec<(char, i64)>,
+    /// The line, to be shown.
+    pub said: String,
 }
 
 impl Report {
@@ -141,8 +143,8 @@ impl Report {
 /// What a line from the board means.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Line {
-    /// A command is done, or, a move, taken.
-    Ok,
+    /// A command is done, or, a move, taken; some boards say in the same line where it is.
+    Ok(Option<Report>),
     /// A command takes its time.
     Busy,
     /// The board has just started.
@@ -165,13 +167,26 @@ pub enum Line {
     Other(String),
 }
 
+/// Lines of boards that have just started: Marlin's, and what others say who are met by mistake.
+fn is_start(line: &str) -> bool {
+    matches!(line, "start" | "Smoothie")
+        || line.starts_with("Grbl ")
+        || line.ends_with("is up and running.")
+}
+
+/// What follows "ok", if a line begins with that. What follows at once may be noise, but no more of the word.
+fn after_ok(line: &str) -> Option<&str> {
+    let rest = line.strip_prefix("ok")?;
+    (rest.is_empty() || rest.starts_with([' ', '\t', '\\'])).then(|| rest.trim())
+}
+
 /// Says what a line means. Every line means something.
 pub fn decode(line: &str) -> Line {
     let line = line.trim();
-    if line == "ok" || line.starts_with("ok ") {
-        return Line::Ok;
+    if let Some(rest) = after_ok(line) {
+        return Line::Ok(report(rest));
     }
-    if line == "start" {
+    if is_start(line) {
         return Line::Start;
     }
     if let Some(rest) = line.strip_prefix("Error:") {
@@ -186,7 +201,8 @@ pub fn decode(line: &str) -> Line {
     }
     for prefix in ["Resend:", "rs "] {
         if let Some(number) = line.strip_prefix(prefix) {
-            return match number.trim().parse() {
+            let number = number.trim();
+            return match number.strip_prefix('N').unwrap_or(number).parse() {
                 Ok(number) => Line::Resend(number),
                 Err(_) => Line::Other(line.into()),
             };
@@ -198,15 +214,17 @@ pub fn decode(line: &str) -> Line {
     {
         return Line::Capability(name.into(), value.trim() == "1");
     }
-    if let Some(rest) = line.strip_prefix("FIRMWARE_NAME:") {
-        let name = rest.split(" SOURCE_CODE_URL").next().unwrap_or(rest);
+    if let Some((_, rest)) = line.split_once("FIRMWARE_NAME:") {
+        let ends = [" SOURCE_CODE_URL", " PROTOCOL_VERSION"];
+        let end = ends.iter().filter_map(|e| rest.find(e)).min();
+        let name = &rest[..end.unwrap_or(rest.len())];
         return Line::Firmware(name.trim().into());
     }
     let echo = line.strip_prefix("echo:").unwrap_or(line).trim();
     if echo.starts_with("busy:") {
         return Line::Busy;
     }
-    if echo.starts_with("Unknown command") || wants_homing(echo) {
+    if echo.starts_with("Unknown command") || echo.starts_with("error:") || wants_homing(echo) {
         return Line::Refused(echo.into());
     }
     match report(line) {
@@ -215,27 +233,68 @@ pub fn decode(line: &str) -> Line {
     }
 }
 
-/// "X:1.00 Y:2.00 Z:0.00 E:0.00 Count X:80 Y:160 Z:0", spaces after the colons allowed.
+/// "X:1.00 Y:2.00 Z:0.00 E:0.00 Count X:80 Y:160 Z:0", with or without spaces between, and "Count 80 160 0", which is X, Y and Z. Where the
+/// steppers are counted otherwise, or not at all, the report says nothing of them.
 fn report(line: &str) -> Option<Report> {
-    let (planned, steps) = line.split_once(" Count ")?;
-    let planned_mm = pairs(planned)?;
-    let steps: Vec<(char, i64)> = pairs(steps)?;
-    let finite = planned_mm.iter().all(|(_, v): &(char, f64)| v.is_finite());
-    (finite && !planned_mm.is_empty() && !steps.is_empty()).then_some(Report { planned_mm, steps })
+    let (planned, count) = match line.split_once("Count") {
+        Some((planned, count)) => (planned, Some(count)),
+        None => (line, None),
+    };
+    let number = |(letter, text): (char, &str)| {
+        let value: f64 = text.parse().ok()?;
+        value.is_finite().then_some((letter, value))
+    };
+    let planned_mm: Vec<_> = pairs(planned)?
+        .into_iter()
+        .map(number)
+        .collect::<Option<_>>()?;
+    let is_place = count.is_some() || planned_mm.iter().any(|(letter, _)| *letter == 'X');
+    (is_place && !planned_mm.is_empty()).then(|| Report {
+        planned_mm,
+        steps: count.and_then(steps).unwrap_or_default(),
+        said: line.into(),
+    })
 }
 
-fn pairs<T: std::str::FromStr>(text: &str) -> Option<Vec<(char, T)>> {
-    let mut pairs: Vec<(char, T)> = Vec::new();
+/// What follows "Count". Numbers with decimals are no steps.
+fn steps(count: &str) -> Option<Vec<(char, i64)>> {
+    let count = count.strip_prefix(':').unwrap_or(count).trim();
+    if count.starts_with(|c: char| c.is_ascii_uppercase()) {
+        let step = |(letter, text): (char, &str)| Some((letter, text.parse().ok()?));
+        return pairs(count)?.into_iter().map(step).collect();
+    }
+    // RepRapFirmware goes on in words.
+    let end = count.find(|c: char| c.is_ascii_alphabetic());
+    let (numbers, rest) = count.split_at(end.unwrap_or(count.len()));
+    let all: Vec<i64> = numbers
+        .split_ascii_whitespace()
+        .map(|n| n.parse().ok())
+        .collect::<Option<_>>()?;
+    let named = |all: [i64; 3]| "XYZ".chars().zip(all).collect();
+    let ends = rest.is_empty() || rest.starts_with("Machine");
+    all.try_into().ok().filter(|_| ends).map(named)
+}
+
+/// Letters and what is said of each. Those with a digit behind them, of several extruders, are left out.
+fn pairs(text: &str) -> Option<Vec<(char, &str)>> {
+    let mut pairs: Vec<(char, &str)> = Vec::new();
     let mut rest = text.trim();
     while !rest.is_empty() {
         let letter = rest.chars().next().filter(char::is_ascii_uppercase)?;
-        rest = rest[1..].strip_prefix(':')?.trim_start();
-        let end = rest.find(' ').unwrap_or(rest.len());
-        if pairs.iter().any(|p| p.0 == letter) {
+        let name = &rest[1..];
+        let after = name.trim_start_matches(|c: char| c.is_ascii_digit());
+        let is_axis = after.len() == name.len();
+        rest = after.strip_prefix(':')?.trim_start();
+        let in_number = |c: char| c.is_ascii_digit() || "+-.".contains(c);
+        let end = rest.find(|c| !in_number(c)).unwrap_or(rest.len());
+        let (number, behind) = rest.split_at(end);
+        if number.is_empty() || (is_axis && pairs.iter().any(|p| p.0 == letter)) {
             return None;
         }
-        pairs.push((letter, rest[..end].parse().ok()?));
-        rest = rest[end..].trim_start();
+        if is_axis {
+            pairs.push((letter, number));
+        }
+        rest = behind.trim_start();
     }
     Some(pairs)
 }
@@ -301,10 +360,32 @@ mod tests {
     fn a_boards_lines_are_understood() {
         let other = |s: &str| Line::Other(s.into());
         for (line, meaning) in [
-            ("ok", Line::Ok),
-            ("ok N49 P15 B3", Line::Ok),
+            ("ok", Line::Ok(None)),
+            ("ok N49 P15 B3", Line::Ok(None)),
+            (r"ok\xff", Line::Ok(None)),
+            ("ok T:21.0 /0.0 B:20.0 /0.0 @:0", Line::Ok(None)),
+            ("ok T:21.0 B:20.0", Line::Ok(None)),
             ("okay", other("okay")),
             ("start", Line::Start),
+            ("Smoothie", Line::Start),
+            ("Grbl 1.1h ['$' for help]", Line::Start),
+            ("RepRapFirmware for Duet 2 is up and running.", Line::Start),
+            ("error:20", Line::Refused("error:20".into())),
+            ("wait", other("wait")),
+            (
+                "//action:notification ready",
+                other("//action:notification ready"),
+            ),
+            (r"T:21 \xb0C", other(r"T:21 \xb0C")),
+            ("rs N7", Line::Resend(7)),
+            (
+                "FIRMWARE_VERSION:v0.12 FIRMWARE_NAME:Klipper",
+                Line::Firmware("Klipper".into()),
+            ),
+            (
+                "FIRMWARE_NAME: RepRapFirmware for Duet 2 FIRMWARE_VERSION: 3.4",
+                Line::Firmware("RepRapFirmware for Duet 2 FIRMWARE_VERSION: 3.4".into()),
+            ),
             ("echo:busy: processing", Line::Busy),
             ("busy: processing", Line::Busy),
             ("Resend: 7", Line::Resend(7)),
@@ -351,30 +432,73 @@ mod tests {
     #[test]
     fn positions_are_read_from_the_steppers_and_from_the_plan() {
         for line in [
+            // Marlin, with and without spaces, and what is behind an "ok".
             "X:205.00 Y:-5.00 Z:0.50 E:0.00 Count X:9127 Y:-400 Z:103",
             "X:205.00 Y:-5.00 Z:0.50 E:0.00 Count X: 9127 Y: -400 Z: 103",
+            "X:205.00Y:-5.00Z:0.50E:0.00 Count X:9127Y:-400Z:103",
+            "X: 205.00 Y: -5.00 Z: 0.50 E: 0.00 Count: X: 9127 Y: -400 Z: 103",
+            "ok X:205.00 Y:-5.00 Z:0.50 E:0.00 Count X:9127 Y:-400 Z:103",
+            // RepRapFirmware.
+            "X:205.000 Y:-5.000 Z:0.500 E:0.000 E0:0.0 Count 9127 -400 103 Machine 205.000 -5.000 0.500 Bed comp 0.000",
+            "X:205.000 Y:-5.000 Z:0.500 E0:0.0 E1:0.0 Count 9127 -400 103",
         ] {
-            let Line::Position(report) = decode(line) else {
+            let (Line::Position(report) | Line::Ok(Some(report))) = decode(line) else {
                 panic!("{line}");
             };
-            assert_eq!(report.planned_mm_of('X'), Some(205.0));
-            assert_eq!(report.steps_of('X'), Some(9127));
-            assert_eq!(report.steps_of('Y'), Some(-400));
-            assert_eq!(report.steps_of('E'), None);
+            assert_eq!(report.planned_mm_of('X'), Some(205.0), "{line}");
+            assert_eq!(report.steps_of('X'), Some(9127), "{line}");
+            assert_eq!(report.steps_of('Y'), Some(-400), "{line}");
+            assert_eq!(report.steps_of('Z'), Some(103), "{line}");
+            assert_eq!(report.steps_of('E'), None, "{line}");
+            assert!(line.ends_with(&report.said));
         }
     }
 
     #[test]
-    fn positions_in_another_form_are_not_guessed() {
+    fn steps_in_another_form_are_not_guessed() {
         for line in [
+            // Millimetres: Prusa's firmware and old Marlin.
+            "X:205.00 Y:5.00 Z:0.00 E:0.00 Count X: 205.00 Y:5.00 Z:0.00 E:0.00",
             "X:205.00 Y:5.00 Count X:91.27 Y:400",
-            "X:205.00 X:5.00 Count X:91",
+            // None: Klipper, Repetier.
+            "X:205.000 Y:5.000 Z:0.000 E:0.000",
+            "ok X:205.00 Y:5.00 Z:0.00",
             "X:205.00",
-            "X:nan Count X:1",
             "X:1 Count ",
+            // Damaged, or of more axes than these have letters for.
+            r"X:1 Count X:1\xff",
+            "X:1 Count 1 2",
+            "X:1 Count 1 2 3 4",
+            "X:1 Count 1 2 3 4.5 Machine",
+            "X:1 Count X:1 X:2",
+        ] {
+            let (Line::Position(report) | Line::Ok(Some(report))) = decode(line) else {
+                panic!("{line}");
+            };
+            assert_eq!(report.steps, [], "{line}");
+        }
+        // Motors that are not those of axes (CoreXY), and Virtual Marlin's.
+        for line in [
+            "X:1.00 Y:2.00 Z:0.00 E:0.00 Count A:1200 B:-400 Z:0",
+            "X:1.0 Y:2.0 Z:0.0 E:0.0 Count: A:100 B:200 C:0",
+        ] {
+            let Line::Position(report) = decode(line) else {
+                panic!("{line}");
+            };
+            assert_eq!(report.steps_of('X'), None, "{line}");
+        }
+        for line in [
+            "X:205.00 X:5.00 Count X:91",
+            "X:nan Count X:1",
+            "X:1e3 Count X:1",
+            r"X:20\xff.00 Y:0.00 Count X:1 Y:0",
             "X=1 Count X=1",
+            " Count X:1 Y:2",
+            "<Idle|MPos:0.000,0.000,0.000|FS:0,0>",
         ] {
             assert!(matches!(decode(line), Line::Other(_)), "{line}");
         }
+        // As Smoothie says it, where nothing tells of steppers.
+        assert_eq!(decode("ok C: X:1.0000 Y:0.0000 Z:0.0000"), Line::Ok(None));
     }
 }

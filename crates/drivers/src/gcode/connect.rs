@@ -85,9 +85,10 @@ fn firmware(
     allow_queued_stop: bool,
 ) -> Result<String, ScopeError> {
     let firmware = talk.ask(ex, &Command::Firmware, None)?;
-    let name = firmware
-        .firmware
-        .ok_or_else(|| device("it does not say what firmware it has (M115)"))?;
+    let name = firmware.firmware.ok_or_else(|| {
+        let came = ex.passed_over();
+        device(format!("it does not say what firmware it has (M115){came}"))
+    })?;
     if !firmware.emergency_parser && !allow_queued_stop {
         return Err(device(format!(
             "{name} does not report EMERGENCY_PARSER, so a stop would wait behind other commands; \

@@ -86,13 +86,13 @@ impl GcodeStage {
         let deadline = Instant::now() + wait;
         while let Some(line) = ex.line_if_any(deadline)? {
             match codec::decode(&line) {
-                Line::Ok if owed > 0 => {
+                Line::Ok(_) if owed > 0 => {
                     owed -= 1;
                     if let Doing::Homing { owed: kept, .. } = &mut *lock(&self.doing) {
                         *kept = owed;
                     }
                 }
-                Line::Ok => {
+                Line::Ok(_) => {
                     let stopped = self.session.stops() != stops;
                     *lock(&self.homed).of(part) = !stopped;
                     *lock(&self.doing) = if stopped {

@@ -3,12 +3,14 @@
 use crate::gcode::codec::{self, Command, Line, Report};
 use crate::gcode::settings::Motor;
 use crate::session::{Exchange, bad_setting, device, lock, refused};
-use scopeservo_scope::ScopeError;
+use scopeservo_scope::{ScopeError, visible};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 /// How often a damaged line is sent again.
 const SENDINGS: usize = 4;
+/// How often it is asked where it is, when the answer arrives damaged.
+const ASKINGS: usize = 3;
 /// What the board's two decimals of a millimetre hide.
 pub(super) const PLAN_TOLERANCE_MM: f64 = 0.011;
 
@@ -103,8 +105,12 @@ impl Talk {
         loop {
             let line = ex.line(deadline.min(give_up))?;
             match codec::decode(&line) {
-                Line::Ok if owed > 0 => owed -= 1,
-                Line::Ok => {
+                Line::Ok(_) if owed > 0 => owed -= 1,
+                Line::Ok(report) => {
+                    if report.is_none() && line.trim() != "ok" {
+                        ex.pass_over(&line);
+                    }
+                    answer.report = answer.report.or(report);
                     return match refused {
                         _ if damaged => Ok(None),
                         None => Ok(Some(answer)),
@@ -113,7 +119,11 @@ impl Talk {
                 }
                 Line::Busy => deadline = ex.deadline(),
                 Line::Resend(wanted) => damaged = self.wanted(ex, wanted, number)?,
-                Line::Refused(why) => refused = Some(why),
+                Line::Refused(why) => {
+                    // Some firmware says no more after that.
+                    ex.pass_over(&line);
+                    refused = Some(why);
+                }
                 Line::Position(report) => answer.report = Some(report),
                 Line::Firmware(name) => answer.firmware = Some(name),
                 Line::Capability(name, can) => {
@@ -121,7 +131,7 @@ impl Talk {
                 }
                 Line::Start => return Err(restarted(ex)),
                 Line::Error(why) => return Err(ex.nonsense(format!("the board says: {why}"))),
-                Line::Damaged(_) | Line::Other(_) => {}
+                Line::Damaged(_) | Line::Other(_) => ex.pass_over(&line),
             }
         }
     }
@@ -148,11 +158,28 @@ impl Talk {
         }
     }
 
+    /// Where it is, asked again when the answer arrives damaged.
     pub(super) fn position(&self, ex: &mut Exchange<'_>) -> Result<Report, ScopeError> {
+        for _ in 1..ASKINGS {
+            if let Some(report) = self.ask(ex, &Command::Position, None)?.report
+                && !report.steps.is_empty()
+            {
+                return Ok(report);
+            }
+        }
         let answer = self.ask(ex, &Command::Position, None)?;
-        answer
-            .report
-            .ok_or_else(|| ex.nonsense("no position came that can be read (M114)"))
+        let unread = || {
+            let came = ex.passed_over();
+            ex.nonsense(format!("no position that can be read (M114){came}"))
+        };
+        let report = answer.report.ok_or_else(unread)?;
+        if report.steps.is_empty() {
+            return Err(ex.nonsense(format!(
+                "the position (M114) does not say in steps where the steppers are (Count X:0 Y:0 Z:0), by which a stop or an obstacle is seen; it is '{}'",
+                visible(&report.said)
+            )));
+        }
+        Ok(report)
     }
 }
 
@@ -177,7 +204,11 @@ pub(super) fn steps_of(
     report: &Report,
     motor: &Motor,
 ) -> Result<i64, ScopeError> {
-    report
-        .steps_of(motor.letter)
-        .ok_or_else(|| ex.nonsense(format!("the position (M114) has no {}", motor.letter)))
+    report.steps_of(motor.letter).ok_or_else(|| {
+        ex.nonsense(format!(
+            "the position (M114) does not count the steps of {}: it is '{}'",
+            motor.letter,
+            visible(&report.said)
+        ))
+    })
 }

@@ -71,7 +71,7 @@ impl fmt::Display for AxisName {
     }
 }
 
-/// One command. Values are millimetres, degrees, or those per second.
+/// One command. Values are in what the controller counts in, or that per second: millimetres and degrees unless it says otherwise.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Command<'a> {
     /// Who it is. Answered by one line.
@@ -102,8 +102,10 @@ pub enum Command<'a> {
     LowerEnds(&'a [AxisName]),
     /// Upper ends of travel. Answered by `name=value`.
     UpperEnds(&'a [AxisName]),
-    /// Whether axes know where they are. Answered by `name=0` or `name=1`.
+    /// Whether axes know where they are. Answered by `name=0` or `name=1`; controllers of axes that always do may not know it.
     Referenced(&'a [AxisName]),
+    /// What axes are counted in. Answered by `name=unit`; some controllers do not know it.
+    Units(&'a [AxisName]),
     /// Starts a reference move. THE STAGE MOVES.
     Reference(&'a [AxisName]),
     /// Velocities of axes. Answered by `name=value`.
@@ -139,6 +141,7 @@ impl Command<'_> {
             Self::LowerEnds(_) => "TMN?",
             Self::UpperEnds(_) => "TMX?",
             Self::Referenced(_) => "FRF?",
+            Self::Units(_) => "PUN?",
             Self::Reference(_) => "FRF",
             Self::Velocities(_) => "VEL?",
             Self::SetVelocities(_) => "VEL",
@@ -171,6 +174,7 @@ impl Command<'_> {
             | Self::LowerEnds(names)
             | Self::UpperEnds(names)
             | Self::Referenced(names)
+            | Self::Units(names)
             | Self::Reference(names)
             | Self::Velocities(names) => {
                 for name in *names {
@@ -199,9 +203,9 @@ impl Command<'_> {
     }
 }
 
-/// Six decimals: a nanometre, or four thousandths of an arc second.
+/// Six decimals: a nanometre, or four thousandths of an arc second, where it counts in millimetres and degrees.
 fn push_number(line: &mut String, value: f64) -> Result<(), CodecError> {
-    if !(value.is_finite() && value.abs() < 1e6) {
+    if !(value.is_finite() && value.abs() < 1e9) {
         return Err(CodecError::BadNumber(value));
     }
     line.push_str(&format!(" {value:.6}"));
@@ -275,20 +279,11 @@ pub fn decode_values(
             .ok_or_else(|| unexpected(command, line))?;
         let value = number(command, value.trim())?;
         if found[at].replace(value).is_some() {
-            return Err(CodecError::Axis {
-                command,
-                axis: names[at].to_string(),
-            });
+            return Err(twice_or_missing(command, &names[at]));
         }
     }
-    let missing = |at: usize| CodecError::Axis {
-        command,
-        axis: names[at].to_string(),
-    };
-    found
-        .into_iter()
-        .enumerate()
-        .map(|(at, value)| value.ok_or_else(|| missing(at)))
+    let all = found.into_iter().zip(names);
+    all.map(|(value, name)| value.ok_or_else(|| twice_or_missing(command, name)))
         .collect()
 }
 
@@ -309,6 +304,43 @@ pub fn decode_flags(
             other => Err(unexpected(command, &other.to_string())),
         })
         .collect()
+}
+
+/// What comes after `name=` for each of `names`, in their order, in whatever code it is written. The lines may come in any other.
+///
+/// # Errors
+/// [`CodecError::Unexpected`], [`CodecError::Axis`].
+pub fn decode_words(
+    command: &'static str,
+    names: &[AxisName],
+    lines: &[Vec<u8>],
+) -> Result<Vec<String>, CodecError> {
+    let mut found = vec![None; names.len()];
+    for line in lines {
+        let text = match std::str::from_utf8(line) {
+            Ok(text) => text.to_string(),
+            // Of one byte for each character: Latin-1.
+            Err(_) => line.iter().copied().map(char::from).collect(),
+        };
+        let (name, word) = text
+            .split_once('=')
+            .ok_or_else(|| unexpected(command, &text))?;
+        let at = names.iter().position(|n| n.as_str() == name.trim());
+        let at = at.ok_or_else(|| unexpected(command, &text))?;
+        if found[at].replace(word.trim().to_string()).is_some() {
+            return Err(twice_or_missing(command, &names[at]));
+        }
+    }
+    let all = found.into_iter().zip(names);
+    all.map(|(word, name)| word.ok_or_else(|| twice_or_missing(command, name)))
+        .collect()
+}
+
+fn twice_or_missing(command: &'static str, axis: &AxisName) -> CodecError {
+    CodecError::Axis {
+        command,
+        axis: axis.to_string(),
+    }
 }
 
 /// The names of the axes.
@@ -448,6 +480,7 @@ mod tests {
             (Command::LowerEnds(&xyz), "TMN? X Y Z\n"),
             (Command::UpperEnds(&xyz), "TMX? X Y Z\n"),
             (Command::Referenced(&xyz), "FRF? X Y Z\n"),
+            (Command::Units(&xyz), "PUN? X Y Z\n"),
             (Command::Reference(&xyz), "FRF X Y Z\n"),
             (Command::Velocities(&xyz[..1]), "VEL? X\n"),
             (Command::SetVelocities(&to), "VEL X 1.500000 U -0.250000\n"),
@@ -465,7 +498,7 @@ mod tests {
 
     #[test]
     fn numbers_that_are_none_are_not_sent() {
-        for value in [f64::NAN, f64::INFINITY, 1e6, -1e9] {
+        for value in [f64::NAN, f64::INFINITY, 1e9, -1e12] {
             let to = [(AxisName::new("X").unwrap(), value)];
             assert!(Command::Move(&to).encode().is_err(), "{value}");
             assert!(Command::SetPlatformVelocity(value).encode().is_err());
@@ -502,6 +535,25 @@ mod tests {
         assert_eq!(decode_number("VLS?", &answer("5.0000\n")).unwrap(), 5.0);
         assert!(decode_ready(&[177]).unwrap());
         assert!(!decode_ready(&[176]).unwrap());
+    }
+
+    #[test]
+    fn units_are_read_in_whatever_code_they_come() {
+        let lines = |all: &[&[u8]]| -> Vec<Vec<u8>> { all.iter().map(|l| l.to_vec()).collect() };
+        let xyu = names("X Y U");
+        let answer = lines(&[b"Y=\xb5m", b"X = UM", b"U=\xc2\xb0"]);
+        assert_eq!(
+            decode_words("PUN?", &xyu, &answer).unwrap(),
+            ["UM", "\u{b5}m", "\u{b0}"]
+        );
+        for wrong in [
+            &[&b"X=MM"[..], b"Y=MM"][..],
+            &[b"X=MM", b"Y=MM", b"U=DEG", b"X=MM"],
+            &[b"X=MM", b"Y=MM", b"Z=MM"],
+            &[b"MM", b"MM", b"DEG"],
+        ] {
+            assert!(decode_words("PUN?", &xyu, &lines(wrong)).is_err());
+        }
     }
 
     #[test]

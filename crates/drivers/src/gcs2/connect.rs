@@ -3,10 +3,11 @@
 use crate::gcs2::codec::{self, AxisName, Command};
 use crate::gcs2::settings::{AxisPlan, Gcs2Nosepiece, Gcs2Settings};
 use crate::gcs2::stage::{Doing, Gcs2Stage, Nosepiece};
-use crate::gcs2::talk::{ask, error_number, read, values};
+use crate::gcs2::talk::{ask, ask_if_known, error_number, read, values};
+use crate::gcs2::unit::Unit;
 use crate::link::Transport;
 use crate::session::{Exchange, Session, StopBytes, bad_setting, device};
-use scopeservo_scope::{AxisInfo, ScopeError, StageInfo};
+use scopeservo_scope::{Angle, AxisInfo, ScopeError, StageInfo, visible};
 use std::sync::Mutex;
 
 impl Gcs2Stage {
@@ -19,7 +20,7 @@ impl Gcs2Stage {
         transport: Box<dyn Transport>,
         settings: &Gcs2Settings,
     ) -> Result<Self, ScopeError> {
-        let plans = settings.plans()?;
+        let mut plans = settings.plans()?;
         let names: Vec<AxisName> = plans.iter().map(|p| p.name.clone()).collect();
         let session = Session::new(
             transport,
@@ -46,7 +47,11 @@ impl Gcs2Stage {
         check_there(names.iter().chain(&nosepiece), &there)?;
         // What was wrong before is not about us.
         error_number(&mut ex)?;
+        for (plan, unit) in plans.iter_mut().zip(units(&mut ex, &names)?) {
+            plan.unit = of_axis(&plan.name, plan.axis.is_rotation(), unit)?;
+        }
         let axes = travels(&mut ex, &plans, &names)?;
+        let knows_reference = ask_if_known(&mut ex, &Command::Referenced(&names))?.is_some();
         let nosepiece = match (nosepiece, settings.nosepiece.clone()) {
             (Some(name), Some(settings)) => Some(turning(&mut ex, name, settings)?),
             _ => None,
@@ -68,6 +73,7 @@ impl Gcs2Stage {
             settle_timeout: settings.settle_timeout(),
             doing: Mutex::new(Doing::Nothing),
             homed: Mutex::new(false),
+            knows_reference,
         })
     }
 }
@@ -84,6 +90,39 @@ fn check_there<'a>(
     Err(bad_setting(format!(
         "the controller has no axis {missing}; it has {}",
         there.join(", ")
+    )))
+}
+
+/// What the controller counts axes in, in its words; nothing where it does not say it.
+fn units(ex: &mut Exchange<'_>, names: &[AxisName]) -> Result<Vec<String>, ScopeError> {
+    match ask_if_known(ex, &Command::Units(names))? {
+        Some(lines) => read(ex, codec::decode_words("PUN?", names, &lines)),
+        None => Ok(vec![String::new(); names.len()]),
+    }
+}
+
+/// The unit of an axis that turns or shifts.
+fn of_axis(name: &AxisName, turns: bool, said: String) -> Result<Unit, ScopeError> {
+    let unit = match (said.as_str(), turns) {
+        ("", true) => Unit::DEGREE,
+        ("", false) => Unit::MILLIMETRE,
+        (word, _) => Unit::read(word).ok_or_else(|| {
+            bad_setting(format!(
+                "the controller counts axis {name} in '{}' (PUN?), which is no unit that is known here: set it to MM or UM, or DEG",
+                visible(word)
+            ))
+        })?,
+    };
+    if unit.turns() == turns {
+        return Ok(unit);
+    }
+    let (is, stands) = match turns {
+        true => ("shifts", "turns (rotary, or the nosepiece)"),
+        false => ("turns", "shifts (linear)"),
+    };
+    Err(bad_setting(format!(
+        "the controller counts axis {name} in {} (PUN?), so it {is}, and stands in the settings as one that {stands}",
+        visible(&said)
     )))
 }
 
@@ -123,12 +162,21 @@ fn turning(
     let names = [name.clone()];
     let low = values(ex, &Command::LowerEnds(&names), &names)?;
     let high = values(ex, &Command::UpperEnds(&names), &names)?;
-    let within = |deg: f64| (low[0]..=high[0]).contains(&deg);
+    let [said] = <[String; 1]>::try_from(units(ex, &names)?).unwrap_or_default();
+    let unit = of_axis(&name, true, said)?;
+    let [low, high] = [low[0], high[0]].map(|end| Angle::from_rad(unit.si(end)).deg());
+    // An end that is converted may be off by its last digit.
+    let slack = 1e-9 * (high - low).abs();
+    let within = |deg: f64| (low - slack..=high + slack).contains(&deg);
     match settings.objectives.iter().find(|o| !within(o.at_deg)) {
         Some(outside) => Err(bad_setting(format!(
             "{} stands at {} deg, and the axis {name} goes from {} to {} deg",
-            outside.id, outside.at_deg, low[0], high[0]
+            outside.id, outside.at_deg, low, high
         ))),
-        None => Ok(Nosepiece { name, settings }),
+        None => Ok(Nosepiece {
+            name,
+            settings,
+            unit,
+        }),
     }
 }

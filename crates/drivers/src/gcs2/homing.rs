@@ -3,12 +3,17 @@
 use crate::gcs2::codec::Command;
 use crate::gcs2::stage::{Doing, Gcs2Stage};
 use crate::gcs2::talk::{all_set, error_number, read, ready, refusal};
-use crate::session::{Exchange, lock};
+use crate::session::{Exchange, lock, refused};
 use crate::turret::Part;
 use scopeservo_scope::{Motion, ScopeError};
 
 impl Gcs2Stage {
     pub(super) fn home_part(&self, part: Part) -> Result<(), ScopeError> {
+        if !self.knows_reference {
+            return Err(refused(
+                "the controller knows no reference move (FRF?): its axes always know where they are, and nothing moved",
+            ));
+        }
         let stops = self.session.stops();
         let mut ex = self.session.exchange()?;
         if self.poll_in(&mut ex)? == Motion::Moving {
@@ -42,7 +47,7 @@ impl Gcs2Stage {
 
     pub(super) fn referenced(&self, ex: &mut Exchange<'_>, part: Part) -> Result<bool, ScopeError> {
         let names = self.names_of(part);
-        let homed = all_set(ex, &Command::Referenced(names), names)?;
+        let homed = !self.knows_reference || all_set(ex, &Command::Referenced(names), names)?;
         if part == Part::Stage {
             *lock(&self.homed) = homed;
         }

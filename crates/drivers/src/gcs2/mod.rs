@@ -11,6 +11,7 @@ mod parameters;
 mod settings;
 mod stage;
 mod talk;
+mod unit;
 
 pub use factory::FACTORY;
 pub use settings::{Gcs2Nosepiece, Gcs2Settings, LinearAxis, RotaryAxis};

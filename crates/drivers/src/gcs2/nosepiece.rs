@@ -6,7 +6,7 @@ use crate::gcs2::stage::{Gcs2Stage, Goal};
 use crate::gcs2::talk::values;
 use crate::session::bad_setting;
 use crate::turret::{Part, Turns, Turret};
-use scopeservo_scope::{Motion, ScopeError, Stage};
+use scopeservo_scope::{Angle, Motion, ScopeError, Stage};
 use std::sync::Arc;
 
 impl Gcs2Stage {
@@ -35,15 +35,18 @@ impl Turns for Gcs2Stage {
         let mut ex = self.exchange_unless_homing()?;
         let names = self.names_of(Part::Nosepiece);
         let at = values(&mut ex, &Command::Positions(names), names)?;
-        at.first().copied().ok_or_else(no_nosepiece)
+        let unit = self.nosepiece.as_ref().map(|n| n.unit);
+        let here = at.first().zip(unit).map(|(at, unit)| unit.si(*at));
+        Ok(Angle::from_rad(here.ok_or_else(no_nosepiece)?).deg())
     }
 
     fn start_turn(&self, to_deg: f64) -> Result<(), ScopeError> {
         let nosepiece = self.nosepiece.as_ref().ok_or_else(no_nosepiece)?;
+        let wire = |deg| nosepiece.unit.of_si(Angle::from_deg(deg).rad());
         let goal = Goal {
             name: nosepiece.name.clone(),
-            to: to_deg,
-            tolerance: nosepiece.settings.arrival_tolerance_deg,
+            to: wire(to_deg),
+            tolerance: wire(nosepiece.settings.arrival_tolerance_deg),
         };
         self.start(Part::Nosepiece, vec![goal])
     }

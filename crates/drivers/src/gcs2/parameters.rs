@@ -3,6 +3,7 @@
 use crate::gcs2::codec::{self, AxisName, Command};
 use crate::gcs2::stage::Gcs2Stage;
 use crate::gcs2::talk::{ask, error_number, read, refusal, values};
+use crate::gcs2::unit::Unit;
 use crate::session::bad_setting;
 use scopeservo_scope::{Axis, Length, ScopeError};
 
@@ -17,8 +18,9 @@ impl Gcs2Stage {
         let names = ["X", "Y", "Z"].map(AxisName::new);
         let names: Result<Vec<_>, _> = names.into_iter().collect();
         let names = read(&ex, names)?;
-        let mm = values(&mut ex, &Command::Pivot, &names)?;
-        Ok([0, 1, 2].map(|i| Length::from_um(mm[i] * 1e3)))
+        let at = values(&mut ex, &Command::Pivot, &names)?;
+        let unit = self.length_unit();
+        Ok([0, 1, 2].map(|i| Length::from_um(unit.si(at[i]) * 1e6)))
     }
 
     /// Sets the point that the platform turns about. The controller allows it only while all rotations are zero.
@@ -26,7 +28,8 @@ impl Gcs2Stage {
     /// # Errors
     /// [`ScopeError::Device`] with the controller's reason, and as [`Gcs2Stage::pivot`].
     pub fn set_pivot(&self, point: [Length; 3]) -> Result<(), ScopeError> {
-        self.set(&Command::SetPivot(point.map(|p| p.um() * 1e-3)))
+        let unit = self.length_unit();
+        self.set(&Command::SetPivot(point.map(|p| unit.of_si(p.m()))))
     }
 
     /// The velocity of a hexapod's platform.
@@ -36,7 +39,8 @@ impl Gcs2Stage {
     pub fn platform_velocity_um_per_s(&self) -> Result<f64, ScopeError> {
         let mut ex = self.exchange_unless_homing()?;
         let lines = ask(&mut ex, &Command::PlatformVelocity)?;
-        Ok(1e3 * read(&ex, codec::decode_number("VLS?", &lines))?)
+        let velocity = read(&ex, codec::decode_number("VLS?", &lines))?;
+        Ok(1e6 * self.length_unit().si(velocity))
     }
 
     /// Sets the velocity of a hexapod's platform.
@@ -46,7 +50,8 @@ impl Gcs2Stage {
     /// [`Gcs2Stage::pivot`].
     pub fn set_platform_velocity_um_per_s(&self, velocity: f64) -> Result<(), ScopeError> {
         positive(velocity)?;
-        self.set(&Command::SetPlatformVelocity(velocity * 1e-3))
+        let velocity = self.length_unit().of_si(velocity * 1e-6);
+        self.set(&Command::SetPlatformVelocity(velocity))
     }
 
     /// The velocity of one axis of its own, m/s or rad/s.
@@ -73,6 +78,12 @@ impl Gcs2Stage {
             plan.name.clone(),
             plan.wire(velocity),
         )]))
+    }
+
+    /// What the platform's lengths are counted in: as its first axis that shifts.
+    fn length_unit(&self) -> Unit {
+        let lengths = self.plans.iter().filter(|p| !p.axis.is_rotation());
+        lengths.map(|p| p.unit).next().unwrap_or(Unit::MILLIMETRE)
     }
 
     /// A command without an answer, and how it went.

@@ -1,6 +1,7 @@
 //! What the driver must be told about a stage, since the controller does not say it.
 
 use crate::gcs2::codec::AxisName;
+use crate::gcs2::unit::Unit;
 use crate::session::bad_setting;
 use crate::turret::{self, TurretPlace};
 use scopeservo_scope::{Angle, Axis, Kinematics, Length, PositiveZ, ScopeError};
@@ -8,7 +9,7 @@ use serde::Deserialize;
 use std::collections::HashSet;
 use std::time::Duration;
 
-/// An axis that shifts. The controller counts it in millimetres.
+/// An axis that shifts. The controller counts it in what it says (`PUN?`), or in millimetres.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LinearAxis {
@@ -22,7 +23,7 @@ pub struct LinearAxis {
     pub arrival_tolerance_um: f64,
 }
 
-/// An axis that turns. The controller counts it in degrees.
+/// An axis that turns. The controller counts it in what it says (`PUN?`), or in degrees.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RotaryAxis {
@@ -36,7 +37,7 @@ pub struct RotaryAxis {
     pub arrival_tolerance_deg: f64,
 }
 
-/// A nosepiece on one more axis of the controller, which counts it in degrees.
+/// A nosepiece on one more axis of the controller, which turns.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Gcs2Nosepiece {
@@ -93,24 +94,18 @@ pub(crate) struct AxisPlan {
     pub(crate) name: AxisName,
     pub(crate) repeatability_si: f64,
     pub(crate) tolerance_si: f64,
+    /// What the controller counts it in.
+    pub(crate) unit: Unit,
 }
 
 impl AxisPlan {
-    /// Metres or radians in the controller's millimetres or degrees.
+    /// Metres or radians in what the controller counts in.
     pub(crate) fn wire(&self, si: f64) -> f64 {
-        if self.axis.is_rotation() {
-            Angle::from_rad(si).deg()
-        } else {
-            si * 1e3
-        }
+        self.unit.of_si(si)
     }
-    /// The controller's millimetres or degrees in metres or radians.
+    /// What the controller says in metres or radians.
     pub(crate) fn si(&self, wire: f64) -> f64 {
-        if self.axis.is_rotation() {
-            Angle::from_deg(wire).rad()
-        } else {
-            wire * 1e-3
-        }
+        self.unit.si(wire)
     }
 }
 
@@ -182,6 +177,10 @@ impl Gcs2Settings {
                 name: AxisName::new(name).map_err(|e| bad_setting(e.to_string()))?,
                 repeatability_si,
                 tolerance_si,
+                unit: match turns {
+                    true => Unit::DEGREE,
+                    false => Unit::MILLIMETRE,
+                },
             });
         }
         if plans.is_empty() {

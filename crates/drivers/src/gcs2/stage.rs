@@ -3,6 +3,7 @@
 use crate::gcs2::codec::{self, AxisName, Command};
 use crate::gcs2::settings::{AxisPlan, Gcs2Nosepiece};
 use crate::gcs2::talk::{STOPPED_BY_COMMAND, error_number, not_homed, read, values};
+use crate::gcs2::unit::Unit;
 use crate::session::{Exchange, Session, device, lock};
 use crate::turret::Part;
 use scopeservo_scope::{Axis, Motion, ScopeError, Stage, StageInfo, StagePose};
@@ -37,6 +38,7 @@ pub(super) struct Goal {
 pub(super) struct Nosepiece {
     pub(super) name: AxisName,
     pub(super) settings: Gcs2Nosepiece,
+    pub(super) unit: Unit,
 }
 
 /// A stage on a GCS 2 controller, and a nosepiece on another of its axes.
@@ -52,6 +54,8 @@ pub struct Gcs2Stage {
     pub(super) doing: Mutex<Doing>,
     /// Whether the controller has said that it knows where its axes are.
     pub(super) homed: Mutex<bool>,
+    /// Whether it knows of reference moves. One that does not has axes that always know where they are.
+    pub(super) knows_reference: bool,
 }
 
 impl Gcs2Stage {

@@ -1,11 +1,15 @@
 //! Talking with a controller: questions, the lines of their answers, and what its error numbers mean.
 
 use crate::gcs2::codec::{self, AxisName, CodecError, Command};
+use crate::link::shown;
 use crate::session::{Exchange, device, refused};
 use scopeservo_scope::ScopeError;
 
 /// A controller that was told to stop reports this.
 pub(super) const STOPPED_BY_COMMAND: i32 = 10;
+
+/// It does not know a command.
+const NOT_KNOWN: i32 = 2;
 
 /// So does one whose axes do not know where they are.
 const NOT_REFERENCED: i32 = 5;
@@ -52,16 +56,63 @@ pub(super) fn ask(ex: &mut Exchange<'_>, command: &Command<'_>) -> Result<Vec<St
         if !more {
             break;
         }
-        if lines.len() >= codec::MAX_LINES {
-            return Err(ex.nonsense(format!(
-                "more than {} lines to {}",
-                codec::MAX_LINES,
-                command.name()
-            )));
-        }
+        not_endless(ex, command, lines.len())?;
     }
     complete(ex, command)?;
     Ok(lines)
+}
+
+/// A question that not every controller knows, and the bytes of the lines of its answer; `None` where the controller does not know it. Such a
+/// question has no answer, so that the number of the error is asked for with it.
+pub(super) fn ask_if_known(
+    ex: &mut Exchange<'_>,
+    command: &Command<'_>,
+) -> Result<Option<Vec<Vec<u8>>>, ScopeError> {
+    let both = [command, &Command::Error].map(Command::encode);
+    let mut bytes = Vec::new();
+    for part in both {
+        bytes.extend(read(ex, part)?);
+    }
+    ex.send(&bytes)?;
+    let deadline = ex.deadline();
+    let mut lines = Vec::new();
+    loop {
+        let mut line = ex.line_bytes(deadline)?;
+        let more = line.last() == Some(&b' ');
+        line.truncate(line.len() - usize::from(more));
+        lines.push(line);
+        if !more {
+            break;
+        }
+        not_endless(ex, command, lines.len())?;
+    }
+    // The answer names axes, the number of an error none.
+    let known = lines.iter().any(|line| line.contains(&b'='));
+    let number = match known {
+        true => ex.line(deadline)?,
+        false => lines.iter().map(|l| shown(l)).collect(),
+    };
+    complete(ex, command)?;
+    match (known, read(ex, codec::decode_error(&[number]))?) {
+        (true, _) => Ok(Some(lines)),
+        (false, NOT_KNOWN) => Ok(None),
+        (false, number) => Err(device(format!(
+            "it does not answer {}: {}",
+            command.name(),
+            codec::error_in_words(number)
+        ))),
+    }
+}
+
+fn not_endless(ex: &Exchange<'_>, command: &Command<'_>, lines: usize) -> Result<(), ScopeError> {
+    if lines < codec::MAX_LINES {
+        return Ok(());
+    }
+    Err(ex.nonsense(format!(
+        "more than {} lines to {}",
+        codec::MAX_LINES,
+        command.name()
+    )))
 }
 
 fn complete(ex: &Exchange<'_>, command: &Command<'_>) -> Result<(), ScopeError> {

@@ -4,7 +4,7 @@ use crate::{JobError, Kept, MadeCalibration, UseCase, Work};
 use scopeservo_scope::{Immersion, Objective, ObjectiveId, by_immersion};
 use scopeservo_servo::{
     Bring, Calibrate, CalibrateOptions, Calibration, Event, FocusOptions, Phase, Progress, Stamped,
-    Switching, SwitchingOptions, SwitchingReport, VisionOptions, agree,
+    Switching, SwitchingOptions, SwitchingReport, VisionOptions, agree, first_step,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -169,6 +169,10 @@ impl UseCase for CalibrateJob {
                     (work.step(&mut **bring)?, self.left.front())
                 {
                     let (options, vision) = (input.calibrate.clone(), input.vision.clone());
+                    if self.made.is_empty() {
+                        // A unit that is wrong by a thousand, before a step that leans on it.
+                        first_step(work.scope(), &vision)?;
+                    }
                     let calibrate = Calibrate::new(objective.clone(), options, vision);
                     let event = Event::PhaseStarted {
                         phase: Phase::Calibrate,
