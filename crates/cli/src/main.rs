@@ -18,6 +18,7 @@ mod demo;
 mod doctor;
 mod driver_check;
 mod error;
+mod images;
 mod init;
 mod journal;
 mod open_instrument;

@@ -24,7 +24,10 @@ fn a_file_is_read_up_to_its_bound_and_no_further() {
 #[test]
 fn folders_are_named_and_so_is_what_is_missing() {
     let dir = tempfile::tempdir().unwrap();
-    assert_eq!(read(dir.path(), 9).unwrap_err().kind(), ErrorKind::IsADirectory);
+    assert_eq!(
+        read(dir.path(), 9).unwrap_err().kind(),
+        ErrorKind::IsADirectory
+    );
     let missing = read(&dir.path().join("no"), 9).unwrap_err();
     assert_eq!(missing.kind(), ErrorKind::NotFound);
 }

@@ -9,7 +9,11 @@ use crate::{GrayImage, Options};
 /// Extrema must exceed the standard deviation of the noise in their DoG layer by this factor.
 const NOISE_FACTOR: f32 = 3.0;
 
-/// The spread is at least the full range divided by this: a few bright spots on black have no 1-99 % range.
+/// Where the 1-99 % range is no more than so many standard deviations of the noise (white noise alone gives 4.7), the image is flat but for a
+/// few places,
+const FLAT: f32 = 6.0;
+
+/// and its spread is the full range divided by this: a few bright spots on black.
 const FULL_RANGE_DIVISOR: f32 = 16.0;
 
 /// Rounding in the blurs reaches about 2e-7 of the values; the threshold stays well above it.
@@ -32,10 +36,15 @@ impl Contrast {
     pub(crate) fn of(image: &GrayImage, options: &Options) -> Option<Self> {
         let data = image.data();
         let measured = || {
-            let ((spread, range), noise) = rayon::join(
+            let ((percentiles, range), noise) = rayon::join(
                 || (percentile_range(data), range(data)),
                 || noise_sigma(image),
             );
+            // One extreme pixel, dead or hot, or a scale bar must not set the threshold for all others.
+            let spread = match percentiles > FLAT * noise {
+                true => percentiles,
+                false => percentiles.max(supported_range(image) / FULL_RANGE_DIVISOR),
+            };
             (range, Some((spread, noise)))
         };
         let ((low, high), adapted) = if options.adapt_contrast {
@@ -48,7 +57,7 @@ impl Contrast {
             return None;
         }
         let (spread, noise) = match adapted {
-            Some((spread, noise)) => (spread.max((high - low) / FULL_RANGE_DIVISOR), noise),
+            Some(adapted) => adapted,
             None => (1.0, 0.0),
         };
         let threshold = options.contrast_threshold / options.intervals as f32;
@@ -89,6 +98,26 @@ fn range(data: &[f32]) -> (f32, f32) {
         low.into_iter().fold(f32::MAX, f32::min),
         high.into_iter().fold(f32::MIN, f32::max),
     )
+}
+
+/// The range of what at least two by two pixels reach: a single one reaches nothing.
+fn supported_range(image: &GrayImage) -> f32 {
+    let (w, data) = (image.width(), image.data());
+    if w < 2 || image.height() < 2 {
+        return 0.0;
+    }
+    let (mut low, mut high) = (f32::MAX, f32::MIN);
+    for (above, below) in data.chunks_exact(w).zip(data.chunks_exact(w).skip(1)) {
+        for (a, b) in above.windows(2).zip(below.windows(2)) {
+            let (most, least) = (
+                a[0].max(a[1]).max(b[0].max(b[1])),
+                a[0].min(a[1]).min(b[0].min(b[1])),
+            );
+            low = low.min(most);
+            high = high.max(least);
+        }
+    }
+    (high - low).max(0.0)
 }
 
 /// 99th minus 1st percentile of a regular sample.

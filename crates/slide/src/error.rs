@@ -25,7 +25,9 @@ pub enum Fault {
         height: u32,
     },
     /// Reading it takes more memory than it may.
-    #[error("{width} x {height} pixels take {needed_mb} MB of memory to read, and {allowed_mb} MB may be used")]
+    #[error(
+        "{width} x {height} pixels take {needed_mb} MB of memory to read, and {allowed_mb} MB may be used"
+    )]
     TooLarge {
         /// Columns asked for.
         width: u32,
@@ -57,7 +59,9 @@ pub enum Fault {
 impl From<io::Error> for Fault {
     fn from(e: io::Error) -> Self {
         match e.kind() {
-            io::ErrorKind::UnexpectedEof => Self::Truncated("the data ends inside the image".into()),
+            io::ErrorKind::UnexpectedEof => {
+                Self::Truncated("the data ends inside the image".into())
+            }
             io::ErrorKind::IsADirectory => Self::NotAnImage("it is a folder".into()),
             io::ErrorKind::InvalidInput | io::ErrorKind::FileTooLarge => {
                 Self::NotAnImage(e.to_string())

@@ -67,7 +67,9 @@ impl<'a> Input<'a> {
         self.part(at, count).read_to_end(&mut bytes)?;
         match bytes.len() as u64 == count {
             true => Ok(bytes),
-            false => Err(Fault::Truncated("it became shorter while it was read".into())),
+            false => Err(Fault::Truncated(
+                "it became shorter while it was read".into(),
+            )),
         }
     }
 }

@@ -14,7 +14,8 @@ pub(crate) fn begins(head: &[u8]) -> bool {
 
 /// Samples, interleaved, of 8 bits; columns and rows; samples of a pixel.
 pub(crate) fn decode(bytes: &[u8], budget: Budget) -> Result<(Vec<u8>, [u32; 2], usize), Fault> {
-    let damaged = |e: &dyn std::fmt::Display| Fault::Damaged(format!("the JPEG 2000 makes no sense: {e}"));
+    let damaged =
+        |e: &dyn std::fmt::Display| Fault::Damaged(format!("the JPEG 2000 makes no sense: {e}"));
     let settings = DecodeSettings {
         resolve_palette_indices: true,
         strict: true,
@@ -25,10 +26,15 @@ pub(crate) fn decode(bytes: &[u8], budget: Budget) -> Result<(Vec<u8>, [u32; 2],
     crate::error::check_not_empty(size[0], size[1])?;
     let samples = usize::from(image.color_space().num_channels()) + usize::from(image.has_alpha());
     let count = u64::from(size[0]) * u64::from(size[1]) * samples as u64;
-    budget.check(size, count.saturating_mul(BYTES_PER_SAMPLE) + bytes.len() as u64)?;
+    budget.check(
+        size,
+        count.saturating_mul(BYTES_PER_SAMPLE) + bytes.len() as u64,
+    )?;
     let decoded = image.decode().map_err(|e| damaged(&e))?;
     match decoded.len() as u64 == count {
         true => Ok((decoded, size, samples)),
-        false => Err(Fault::Damaged("the JPEG 2000 decodes to another size".into())),
+        false => Err(Fault::Damaged(
+            "the JPEG 2000 decodes to another size".into(),
+        )),
     }
 }

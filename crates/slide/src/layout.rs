@@ -163,7 +163,11 @@ impl Layout {
             }
             _ => {
                 let [low, high] = self.range;
-                let scale = if high > low { 65535.0 / (high - low) } else { 0.0 };
+                let scale = if high > low {
+                    65535.0 / (high - low)
+                } else {
+                    0.0
+                };
                 let scaled: Vec<u16> = self
                     .numbers(raw, count)?
                     .into_iter()
@@ -179,7 +183,11 @@ impl Layout {
     fn small(&self, raw: &[u8], count: usize) -> Vec<u8> {
         match self.bits {
             8 => raw[..count].to_vec(),
-            16 => self.middle(raw, count).iter().map(|v| (*v).min(255) as u8).collect(),
+            16 => self
+                .middle(raw, count)
+                .iter()
+                .map(|v| (*v).min(255) as u8)
+                .collect(),
             bits => bits_of(raw, bits, count).map(|v| v as u8).collect(),
         }
     }
@@ -270,10 +278,7 @@ impl Layout {
         let opaque = self.opacity == Opacity::Opaque || self.alpha == Alpha::Dropped;
         let plain = opaque && (self.clear.is_none() || self.alpha == Alpha::Dropped);
         let channels = self.channels();
-        if plain
-            && self.samples == channels
-            && matches!(self.colour, Colour::Gray | Colour::Rgb)
-        {
+        if plain && self.samples == channels && matches!(self.colour, Colour::Gray | Colour::Rgb) {
             return T::row(channels, values.to_vec());
         }
         let of_colour = self.colour.samples();
@@ -434,13 +439,19 @@ mod tests {
     #[test]
     fn packed_samples_fill_the_range() {
         let one = gray(1, Kind::Unsigned);
-        assert_eq!(values(&one, &[0b1010_0000, 0x80], 9), [255, 0, 255, 0, 0, 0, 0, 0, 255]);
+        assert_eq!(
+            values(&one, &[0b1010_0000, 0x80], 9),
+            [255, 0, 255, 0, 0, 0, 0, 0, 255]
+        );
         let two = gray(2, Kind::Unsigned);
         assert_eq!(values(&two, &[0b0001_1011], 4), [0, 85, 170, 255]);
         let four = gray(4, Kind::Unsigned);
         assert_eq!(values(&four, &[0x0f, 0x70], 3), [0, 255, 119]);
         let twelve = gray(12, Kind::Unsigned);
-        assert_eq!(values(&twelve, &[0xff, 0xf0, 0x00, 0x80, 0x00], 3), [65535, 0, 32776]);
+        assert_eq!(
+            values(&twelve, &[0xff, 0xf0, 0x00, 0x80, 0x00], 3),
+            [65535, 0, 32776]
+        );
         let ten = gray(10, Kind::Unsigned);
         assert_eq!(values(&ten, &[0xff, 0xc0, 0x00], 2), [65535, 0]);
     }
@@ -454,14 +465,20 @@ mod tests {
         assert_eq!(read(&gray(64, Kind::Float), &1.5_f64.to_be_bytes()), 1.5);
         assert_eq!(read(&gray(16, Kind::Float), &[0x3c, 0x00]), 1.0);
         assert_eq!(read(&gray(16, Kind::Float), &[0xc5, 0x00]), -5.0);
-        assert_eq!(read(&gray(16, Kind::Float), &[0x00, 0x01]), f64::exp2(-24.0));
+        assert_eq!(
+            read(&gray(16, Kind::Float), &[0x00, 0x01]),
+            f64::exp2(-24.0)
+        );
         let mut little = gray(32, Kind::Float);
         little.big_endian = false;
         assert_eq!(read(&little, &0.25_f32.to_le_bytes()), 0.25);
         assert!(gray(24, Kind::Float).numbers(&[0; 3], 1).is_err());
         // Not a number is black, and beyond the range is its end.
         let unit = gray(32, Kind::Float);
-        let raw: Vec<u8> = [f32::NAN, -3.0, 0.5, f32::INFINITY].iter().flat_map(|v| v.to_be_bytes()).collect();
+        let raw: Vec<u8> = [f32::NAN, -3.0, 0.5, f32::INFINITY]
+            .iter()
+            .flat_map(|v| v.to_be_bytes())
+            .collect();
         assert_eq!(values(&unit, &raw, 4), [0, 0, 32768, 65535]);
     }
 
@@ -469,12 +486,24 @@ mod tests {
     fn inks_palettes_and_opacity() {
         let mut cmyk = gray(8, Kind::Unsigned);
         (cmyk.samples, cmyk.colour) = (4, Colour::Cmyk);
-        assert_eq!(values(&cmyk, &[0, 0, 0, 0, 255, 0, 0, 0, 0, 0, 0, 255, 0, 128, 0, 128], 4),
-            [255, 255, 255, 0, 255, 255, 0, 0, 0, 127, 63, 127]);
+        assert_eq!(
+            values(
+                &cmyk,
+                &[0, 0, 0, 0, 255, 0, 0, 0, 0, 0, 0, 255, 0, 128, 0, 128],
+                4
+            ),
+            [255, 255, 255, 0, 255, 255, 0, 0, 0, 127, 63, 127]
+        );
         let mut palette = gray(2, Kind::Unsigned);
         palette.colour = Colour::Palette(vec![[1, 2, 3], [4, 5, 6], [7, 8, 9]]);
-        assert_eq!(values(&palette, &[0b1000_0100], 3), [7, 8, 9, 1, 2, 3, 4, 5, 6]);
-        assert!(palette.row(&[0b1100_0000], 1).is_err(), "index 3 of 3 colours");
+        assert_eq!(
+            values(&palette, &[0b1000_0100], 3),
+            [7, 8, 9, 1, 2, 3, 4, 5, 6]
+        );
+        assert!(
+            palette.row(&[0b1100_0000], 1).is_err(),
+            "index 3 of 3 colours"
+        );
         let mut alpha = gray(8, Kind::Unsigned);
         (alpha.samples, alpha.opacity) = (2, Opacity::Straight);
         assert_eq!(values(&alpha, &[0, 51, 9, 255], 2), [204, 9]);

@@ -124,7 +124,11 @@ mod tests {
             let o = Orientation::of(number);
             let (at, step) = o.place([3, 2], 0, 0);
             assert_eq!(at, first, "{number}");
-            assert_eq!([at[0] + 2 * step[0], at[1] + 2 * step[1]], third, "{number}");
+            assert_eq!(
+                [at[0] + 2 * step[0], at[1] + 2 * step[1]],
+                third,
+                "{number}"
+            );
             // A single pixel that is shown is where it was stored.
             for (x, y) in [(0, 0), (2, 0), (1, 1)] {
                 let ([sx, sy], _) = o.place([3, 2], x, y);

@@ -48,7 +48,13 @@ impl Choices {
                 "" => format!("{k}"),
                 name => format!("{k} {name}"),
             };
-            let names: Vec<String> = self.channels.iter().enumerate().take(16).map(named).collect();
+            let names: Vec<String> = self
+                .channels
+                .iter()
+                .enumerate()
+                .take(16)
+                .map(named)
+                .collect();
             let pages = match self.pages > n {
                 true => format!(" on {} pages", self.pages),
                 false => String::new(),
@@ -87,6 +93,8 @@ pub struct Picture {
     pub channels: usize,
     /// `width * height * channels` values, row by row, interleaved, on the whole range of their type.
     pub samples: Samples,
+    /// Its samples have no range of their own, as real numbers; black and white were estimated from this picture.
+    pub range_was_estimated: bool,
 }
 
 /// The samples of a picture.
@@ -103,7 +111,12 @@ pub enum Samples {
 /// # Errors
 /// [`Fault`].
 pub fn decode(bytes: &[u8], wanted: &Wanted) -> Result<Picture, Fault> {
-    let source = Source::open(Input::Bytes(bytes), wanted.choice, wanted.budget, wanted.alpha)?;
+    let source = Source::open(
+        Input::Bytes(bytes),
+        wanted.choice,
+        wanted.budget,
+        wanted.alpha,
+    )?;
     let (width, height, channels, values) = source.deep(0)?;
     Ok(Picture {
         width,
@@ -113,5 +126,6 @@ pub fn decode(bytes: &[u8], wanted: &Wanted) -> Result<Picture, Fault> {
             Values::U8(v) => Samples::U8(v),
             Values::U16(v) => Samples::U16(v),
         },
+        range_was_estimated: source.tiff().is_some_and(|t| t.layout(0).has_no_range()),
     })
 }

@@ -2,7 +2,9 @@
 
 use std::io::BufReader;
 
-use png::{BitDepth, ColorType, DecodeOptions, Decoder, DecodingError, Limits, Reader, Transformations};
+use png::{
+    BitDepth, ColorType, DecodeOptions, Decoder, DecodingError, Limits, Reader, Transformations,
+};
 
 use crate::input::{Input, Part};
 use crate::layout::{Alpha, Colour, Kind, Layout, Opacity};
@@ -65,11 +67,24 @@ impl Png {
             ColorType::Indexed => {
                 let colours = info.palette.as_deref().unwrap_or_default();
                 let opacity = info.trns.as_deref().unwrap_or_default();
-                (1, Colour::Palette(palette(colours, opacity, alpha)), Opacity::Opaque)
+                (
+                    1,
+                    Colour::Palette(palette(colours, opacity, alpha)),
+                    Opacity::Opaque,
+                )
             }
         };
-        let clear = info.trns.as_deref().filter(|_| info.color_type != ColorType::Indexed);
-        let clear = clear.map(|key| key.as_chunks::<2>().0.iter().map(|v| u16::from_be_bytes(*v)).collect());
+        let clear = info
+            .trns
+            .as_deref()
+            .filter(|_| info.color_type != ColorType::Indexed);
+        let clear = clear.map(|key| {
+            key.as_chunks::<2>()
+                .0
+                .iter()
+                .map(|v| u16::from_be_bytes(*v))
+                .collect()
+        });
         let orientation = match &info.exif_metadata {
             Some(exif) => orientation::of_exif(exif),
             None => Orientation::default(),

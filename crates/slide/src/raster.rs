@@ -99,7 +99,10 @@ mod tests {
     #[test]
     fn alpha_over_white_at_its_ends_and_in_the_middle() {
         let over_8 = |c, a| over_white(c, a, 255);
-        assert_eq!([over_8(10, 255), over_8(10, 0), over_8(0, 128)], [10, 255, 127]);
+        assert_eq!(
+            [over_8(10, 255), over_8(10, 0), over_8(0, 128)],
+            [10, 255, 127]
+        );
         assert_eq!(over_white(1000, 65535, 65535), 1000);
         assert_eq!(over_white(1000, 0, 65535), 65535);
         assert_eq!((to_8(65535), to_8(257 * 7), to_8(0)), (255, 7, 0));

@@ -84,7 +84,10 @@ fn each_rgb8(
 ) {
     match (&row.values, row.channels) {
         (Values::U8(v), 1) => v.iter().zip(places).for_each(|(v, at)| put(at, [*v; 3])),
-        (Values::U16(v), 1) => v.iter().zip(places).for_each(|(v, at)| put(at, [to_8(*v); 3])),
+        (Values::U16(v), 1) => v
+            .iter()
+            .zip(places)
+            .for_each(|(v, at)| put(at, [to_8(*v); 3])),
         (Values::U8(v), _) => {
             let pixels = v.as_chunks::<3>().0.iter();
             pixels.zip(places).for_each(|(c, at)| put(at, *c));

@@ -54,7 +54,8 @@ impl Slide {
         let levels = (0..source.levels())
             .map(|k| {
                 let [w, h] = source.place(k).shown();
-                let ratio = [(width, w), (height, h)].map(|(full, part)| f64::from(full) / f64::from(part));
+                let ratio =
+                    [(width, w), (height, h)].map(|(full, part)| f64::from(full) / f64::from(part));
                 LevelInfo {
                     width: w,
                     height: h,
@@ -109,7 +110,13 @@ impl Slide {
             .map_err(|fault| SlideError::of(&self.path, fault))
     }
 
-    fn region(&self, level: usize, [x, y]: [i64; 2], [w, h]: [u32; 2], outside: [u8; 3]) -> Result<Rgb8, Fault> {
+    fn region(
+        &self,
+        level: usize,
+        [x, y]: [i64; 2],
+        [w, h]: [u32; 2],
+        outside: [u8; 3],
+    ) -> Result<Rgb8, Fault> {
         self.source.check_level(level)?;
         let bytes = 3 * u64::from(w) * u64::from(h);
         self.source.budget.check([w, h], bytes)?;
@@ -143,8 +150,17 @@ impl Slide {
         Ok(whole)
     }
 
-    fn by_tiles(&self, tiff: &Tiff, level: usize, shown: [i64; 4], outside: [u8; 3]) -> Result<Rgb8, Fault> {
-        let Place { stored, orientation } = self.source.place(level);
+    fn by_tiles(
+        &self,
+        tiff: &Tiff,
+        level: usize,
+        shown: [i64; 4],
+        outside: [u8; 3],
+    ) -> Result<Rgb8, Fault> {
+        let Place {
+            stored,
+            orientation,
+        } = self.source.place(level);
         let from @ [x, y, w, h] = orientation.stored(stored, shown);
         let mut out = Rgb8::filled(w as u32, h as u32, outside);
         for (index, [cx, cy, columns, rows]) in tiff.chunks_in(level, from) {
@@ -159,7 +175,13 @@ impl Slide {
                         orientation: Orientation::default(),
                     };
                     let mut sink = RgbSink::new(place, outside);
-                    let written = tiff.chunk(&self.source.input, level, index, self.source.budget, &mut sink)?;
+                    let written = tiff.chunk(
+                        &self.source.input,
+                        level,
+                        index,
+                        self.source.budget,
+                        &mut sink,
+                    )?;
                     let chunk = Arc::new(written.then_some(sink.out));
                     let bytes = chunk.as_ref().as_ref().map_or(64, |c| c.data.len());
                     self.tiles.put(key, Arc::clone(&chunk), bytes);
@@ -204,7 +226,11 @@ fn upright(stored: Rgb8, orientation: Orientation) -> Rgb8 {
         orientation,
     };
     let mut sink = RgbSink::new(place, [0; 3]);
-    for (y, row) in stored.data.chunks_exact(3 * (stored.width as usize).max(1)).enumerate() {
+    for (y, row) in stored
+        .data
+        .chunks_exact(3 * (stored.width as usize).max(1))
+        .enumerate()
+    {
         let values = crate::layout::Values::U8(row.to_vec());
         let row = crate::layout::Row {
             channels: 3,

@@ -40,7 +40,12 @@ struct Decoded {
 }
 
 impl<'a> Source<'a> {
-    pub(crate) fn open(input: Input<'a>, choice: Choice, budget: Budget, alpha: Alpha) -> Result<Self, Fault> {
+    pub(crate) fn open(
+        input: Input<'a>,
+        choice: Choice,
+        budget: Budget,
+        alpha: Alpha,
+    ) -> Result<Self, Fault> {
         let format = match sniff(&input)? {
             Kind::Png => Format::Png(Png::open(&input, budget, alpha)?),
             Kind::Jpeg => Format::Jpeg(match &input {
@@ -82,7 +87,9 @@ impl<'a> Source<'a> {
             Format::Jpeg2000(decoded) => decoded.channels,
             Format::Tiff(_) => return Ok(()),
         };
-        for (what, asked, available) in [("page", choice.page, 1), ("channel", choice.channel, there)] {
+        for (what, asked, available) in
+            [("page", choice.page, 1), ("channel", choice.channel, there)]
+        {
             if let Some(asked) = asked.filter(|asked| *asked >= available) {
                 return Err(Fault::NotThere {
                     what,
@@ -126,7 +133,8 @@ impl<'a> Source<'a> {
     }
 
     pub(crate) fn choices(&self) -> Choices {
-        self.tiff().map_or_else(Choices::default, |t| t.choices.clone())
+        self.tiff()
+            .map_or_else(Choices::default, |t| t.choices.clone())
     }
 
     pub(crate) fn place(&self, level: usize) -> Place {
@@ -143,13 +151,21 @@ impl<'a> Source<'a> {
         match &self.format {
             Format::Png(png) => (png.layout.channels(), png.layout.depth()),
             Format::Jpeg(jpeg) if self.only.is_none() => (jpeg.channels(), 8),
-            Format::Jpeg2000(decoded) if self.only.is_none() => (if decoded.channels < 3 { 1 } else { 3 }, 8),
+            Format::Jpeg2000(decoded) if self.only.is_none() => {
+                (if decoded.channels < 3 { 1 } else { 3 }, 8)
+            }
             Format::Jpeg(_) | Format::Jpeg2000(_) => (1, 8),
             Format::Tiff(tiff) => (tiff.layout(level).channels(), tiff.layout(level).depth()),
         }
     }
 
-    fn decode(&self, level: usize, colours: Colours, held: u64, sink: &mut dyn Sink) -> Result<(), Fault> {
+    fn decode(
+        &self,
+        level: usize,
+        colours: Colours,
+        held: u64,
+        sink: &mut dyn Sink,
+    ) -> Result<(), Fault> {
         match &self.format {
             Format::Png(png) => png.decode(&self.input, self.budget, sink),
             Format::Jpeg(jpeg) => jpeg.decode(colours, self.only, self.budget, held, sink),
@@ -173,7 +189,11 @@ impl<'a> Source<'a> {
         let [width, height] = place.shown();
         let bytes = 3 * u64::from(width) * u64::from(height);
         self.check(level, bytes)?;
-        if let (Format::Jpeg(jpeg), true, (3, _)) = (&self.format, place.orientation.is_upright(), self.shape(level)) {
+        if let (Format::Jpeg(jpeg), true, (3, _)) = (
+            &self.format,
+            place.orientation.is_upright(),
+            self.shape(level),
+        ) {
             let (data, _) = jpeg.samples(Colours::Own, self.budget, 0)?;
             return Ok(Rgb8 {
                 width,
@@ -191,7 +211,10 @@ impl<'a> Source<'a> {
         let place = self.place(level);
         let [width, height] = place.shown();
         let fits = |f: &u64| (u64::from(width) / f) * (u64::from(height) / f) <= most;
-        let factor = (1..).find(fits).unwrap_or(1).min(u64::from(width.min(height)));
+        let factor = (1..)
+            .find(fits)
+            .unwrap_or(1)
+            .min(u64::from(width.min(height)));
         let factor = factor as usize;
         if let (Format::Jpeg(jpeg), 8.., None) = (&self.format, factor, self.only)
             && let Some(eighth) = jpeg.eighth()
@@ -205,7 +228,11 @@ impl<'a> Source<'a> {
         let bytes = GraySink::bytes(place, factor);
         self.check(level, bytes)?;
         let mut sink = GraySink::new(place, factor);
-        let colours = if self.only.is_some() { Colours::Own } else { Colours::Luma };
+        let colours = if self.only.is_some() {
+            Colours::Own
+        } else {
+            Colours::Luma
+        };
         self.decode(level, colours, bytes, &mut sink)?;
         Ok((sink.finish(), factor))
     }

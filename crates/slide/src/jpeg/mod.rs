@@ -116,7 +116,10 @@ impl<'a> Jpeg<'a> {
             }
             _ => (ColorSpace::RGB, 3),
         };
-        budget.check(self.place.stored, self.bytes_held(channels).saturating_add(more))?;
+        budget.check(
+            self.place.stored,
+            self.bytes_held(channels).saturating_add(more),
+        )?;
         let mut decoder = decoder(&self.bytes)?;
         decoder.set_options(decoder.options().jpeg_set_out_colorspace(space));
         let samples = decoder.decode().map_err(fault)?;
@@ -180,7 +183,9 @@ impl<'a> Jpeg<'a> {
 
 fn fault(e: DecodeErrors) -> Fault {
     match e {
-        DecodeErrors::Unsupported(what) => Fault::Unsupported(format!("this kind of JPEG ({what:?})")),
+        DecodeErrors::Unsupported(what) => {
+            Fault::Unsupported(format!("this kind of JPEG ({what:?})"))
+        }
         DecodeErrors::ExhaustedData => Fault::Truncated("the data ends inside the image".into()),
         other => Fault::Damaged(format!("{other:?}")),
     }

@@ -420,7 +420,11 @@ impl Bits<'_> {
         let value = (self.peek() >> (16 - size)) as i32;
         self.pass(size)?;
         let below = size > 0 && value < 1 << (size - 1);
-        Some(if below { value + 1 - (1 << size) } else { value })
+        Some(if below {
+            value + 1 - (1 << size)
+        } else {
+            value
+        })
     }
 
     /// Passes over the restart marker of that number, which must come next.
@@ -462,7 +466,9 @@ mod tests {
     }
 
     fn gray(width: u32, height: u32, quality: u8, level: impl Fn(u32, u32) -> u8) -> Vec<u8> {
-        let pixels: Vec<u8> = (0..width * height).map(|i| level(i % width, i / width)).collect();
+        let pixels: Vec<u8> = (0..width * height)
+            .map(|i| level(i % width, i / width))
+            .collect();
         let mut bytes = Vec::new();
         JpegEncoder::new_with_quality(&mut bytes, quality)
             .encode(&pixels, width, height, ExtendedColorType::L8)
@@ -483,7 +489,11 @@ mod tests {
     fn whole_pictures_pass_in_every_shape() {
         for (width, height) in [(1, 1), (7, 9), (16, 16), (17, 33), (64, 48), (333, 101)] {
             let colour = jpeg(width, height, 77);
-            assert_eq!(*whole(&colour).unwrap().bytes, colour[..], "{width} {height}");
+            assert_eq!(
+                *whole(&colour).unwrap().bytes,
+                colour[..],
+                "{width} {height}"
+            );
             for quality in [5, 50, 100] {
                 let noise = gray(width, height, quality, |x, y| {
                     let i = y * width + x;

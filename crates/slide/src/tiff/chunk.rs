@@ -19,10 +19,13 @@ fn open<'i>(
     [rows, samples]: [u32; 2],
     budget: Budget,
 ) -> Result<Box<dyn Read + 'i>, Fault> {
-    let source = BufReader::with_capacity(AHEAD, Reversed {
-        input: input.part(at, count),
-        reversed: page.reversed_bits,
-    });
+    let source = BufReader::with_capacity(
+        AHEAD,
+        Reversed {
+            input: input.part(at, count),
+            reversed: page.reversed_bits,
+        },
+    );
     let size = [page.chunk[0], rows];
     let row_bytes = page.layout.row_bytes(size[0], samples as usize);
     let all = || {
@@ -75,7 +78,9 @@ fn open<'i>(
         Compression::Jpeg2000 => {
             let (decoded, [width, height], channels) = crate::jpeg2000::decode(&all()?, budget)?;
             if width != size[0] || height < rows || channels != samples as usize {
-                return Err(Fault::Damaged("a tile holds a JPEG 2000 of another shape".into()));
+                return Err(Fault::Damaged(
+                    "a tile holds a JPEG 2000 of another shape".into(),
+                ));
             }
             Box::new(Cursor::new(decoded))
         }
@@ -194,7 +199,9 @@ fn with_tables(bytes: Vec<u8>, tables: Option<&[u8]>) -> Vec<u8> {
 fn fax(page: &Page, source: impl Read, [width, rows]: [u32; 2]) -> Result<Vec<u8>, Fault> {
     let bad = || Fault::Damaged("its fax data make no sense".into());
     let (Ok(width), Ok(rows)) = (u16::try_from(width), u16::try_from(rows)) else {
-        return Err(Fault::Unsupported("a fax of more than 65535 pixels each way".into()));
+        return Err(Fault::Unsupported(
+            "a fax of more than 65535 pixels each way".into(),
+        ));
     };
     let row_bytes = usize::from(width).div_ceil(8);
     let mut out = Vec::with_capacity(row_bytes * usize::from(rows));
@@ -324,7 +331,9 @@ mod tests {
         };
         // The example of the TIFF standard, of Apple's note.
         let packed = b"\xfe\xaa\x02\x80\x00\x2a\xfd\xaa\x03\x80\x00\x2a\x22\xf7\xaa";
-        let mut want = vec![0xaa, 0xaa, 0xaa, 0x80, 0, 0x2a, 0xaa, 0xaa, 0xaa, 0xaa, 0x80, 0, 0x2a, 0x22];
+        let mut want = vec![
+            0xaa, 0xaa, 0xaa, 0x80, 0, 0x2a, 0xaa, 0xaa, 0xaa, 0xaa, 0x80, 0, 0x2a, 0x22,
+        ];
         want.extend([0xaa; 10]);
         assert_eq!(unpack(packed), want);
         assert_eq!(unpack(b"\x80\x80\x00x"), b"x");

@@ -55,7 +55,10 @@ fn image_j(text: &str, pages: usize) -> Option<Described> {
 /// Whether lengths of an ImageJ text are micrometres; its resolution tags then are pixels per um.
 fn image_j_um(text: &str) -> bool {
     let unit = text.lines().find_map(|l| l.trim().strip_prefix("unit="));
-    matches!(unit, Some("micron" | "microns" | "um" | "\u{b5}m" | "\u{3bc}m" | "\\u00B5m"))
+    matches!(
+        unit,
+        Some("micron" | "microns" | "um" | "\u{b5}m" | "\u{3bc}m" | "\\u00B5m")
+    )
 }
 
 fn ome(text: &str) -> Option<Vec<Described>> {
@@ -93,11 +96,20 @@ impl Named for Node<'_, '_> {
 }
 
 fn ome_pixels(pixels: Node<'_, '_>, before: usize) -> Option<Described> {
-    let number = |node: Node<'_, '_>, name: &str| -> Option<usize> { node.attribute(name)?.trim().parse().ok() };
-    let channels: Vec<Node<'_, '_>> = pixels.children().filter(|n| n.has_tag_name_of("Channel")).collect();
-    let samples: usize = channels.iter().map(|c| number(*c, "SamplesPerPixel").unwrap_or(1)).sum();
+    let number = |node: Node<'_, '_>, name: &str| -> Option<usize> {
+        node.attribute(name)?.trim().parse().ok()
+    };
+    let channels: Vec<Node<'_, '_>> = pixels
+        .children()
+        .filter(|n| n.has_tag_name_of("Channel"))
+        .collect();
+    let samples: usize = channels
+        .iter()
+        .map(|c| number(*c, "SamplesPerPixel").unwrap_or(1))
+        .sum();
     let size_c = number(pixels, "SizeC").unwrap_or(1).clamp(1, 10_000);
-    let [size_z, size_t] = ["SizeZ", "SizeT"].map(|n| number(pixels, n).unwrap_or(1).clamp(1, 1_000_000));
+    let [size_z, size_t] =
+        ["SizeZ", "SizeT"].map(|n| number(pixels, n).unwrap_or(1).clamp(1, 1_000_000));
     // A channel of three samples is one page in colour.
     let count = match channels.is_empty() || samples != size_c {
         true => size_c,
@@ -120,9 +132,14 @@ fn ome_pixels(pixels: Node<'_, '_>, before: usize) -> Option<Described> {
     }
     let planes = count * size_z * size_t;
     let mut pages: Vec<Option<usize>> = (0..count).map(|c| Some(before + c * stride)).collect();
-    let data: Vec<Node<'_, '_>> = pixels.children().filter(|n| n.has_tag_name_of("TiffData")).collect();
+    let data: Vec<Node<'_, '_>> = pixels
+        .children()
+        .filter(|n| n.has_tag_name_of("TiffData"))
+        .collect();
     // Pages may be told one by one.
-    let told = data.iter().any(|d| d.attribute("FirstC").is_some() || d.attribute("IFD").is_some());
+    let told = data
+        .iter()
+        .any(|d| d.attribute("FirstC").is_some() || d.attribute("IFD").is_some());
     let alone = data.len() == 1 && number(data[0], "PlaneCount") != Some(1);
     let mut first = before;
     if let (true, true) = (told, alone) {
@@ -136,10 +153,17 @@ fn ome_pixels(pixels: Node<'_, '_>, before: usize) -> Option<Described> {
                 .children()
                 .find(|n| n.has_tag_name_of("UUID"))
                 .and_then(|n| n.attribute("FileName"))
-                .is_some_and(|name| pixels.document().root_element().attribute("UUID") .is_some_and(|own| {
-                    let here = entry.children().find(|n| n.has_tag_name_of("UUID"));
-                    !name.is_empty() && here.and_then(|n| n.text()).is_some_and(|u| u.trim() != own)
-                }));
+                .is_some_and(|name| {
+                    pixels
+                        .document()
+                        .root_element()
+                        .attribute("UUID")
+                        .is_some_and(|own| {
+                            let here = entry.children().find(|n| n.has_tag_name_of("UUID"));
+                            !name.is_empty()
+                                && here.and_then(|n| n.text()).is_some_and(|u| u.trim() != own)
+                        })
+                });
             if let (Some(place), 0, 0, false) = (pages.get_mut(c), z, t, elsewhere) {
                 *place = place.or(number(*entry, "IFD").or(Some(0)));
             }
@@ -147,8 +171,14 @@ fn ome_pixels(pixels: Node<'_, '_>, before: usize) -> Option<Described> {
         first = pages.iter().flatten().min().copied().unwrap_or(before);
     }
     let side = |axis: &str| {
-        let value: f64 = pixels.attribute(format!("PhysicalSize{axis}").as_str())?.trim().parse().ok()?;
-        let unit = pixels.attribute(format!("PhysicalSize{axis}Unit").as_str()).unwrap_or("\u{b5}m");
+        let value: f64 = pixels
+            .attribute(format!("PhysicalSize{axis}").as_str())?
+            .trim()
+            .parse()
+            .ok()?;
+        let unit = pixels
+            .attribute(format!("PhysicalSize{axis}Unit").as_str())
+            .unwrap_or("\u{b5}m");
         Some(value * um_of(unit)?)
     };
     let um = match (side("X"), side("Y")) {
@@ -156,10 +186,17 @@ fn ome_pixels(pixels: Node<'_, '_>, before: usize) -> Option<Described> {
         (Some(one), None) | (None, Some(one)) => Some([one, one]),
         (None, None) => None,
     };
-    let name = |k: usize| channels.get(k).and_then(|c| c.attribute("Name")).unwrap_or_default();
+    let name = |k: usize| {
+        channels
+            .get(k)
+            .and_then(|c| c.attribute("Name"))
+            .unwrap_or_default()
+    };
     Some(Described {
         um_per_px: um.and_then(plausible),
-        channels: (0..count).map(|k| name(k).chars().take(40).collect()).collect(),
+        channels: (0..count)
+            .map(|k| name(k).chars().take(40).collect())
+            .collect(),
         pages,
         span: [first, first.saturating_add(planes)],
     })
@@ -196,7 +233,10 @@ pub(crate) fn um_per_px(input: &Input<'_>, page: &Directory, text: &str) -> Opti
         _ => return None,
     };
     let side = |tag: u16| Some(um_per_unit / page.fraction(input, tag)?);
-    plausible([side(directory::X_RESOLUTION)?, side(directory::Y_RESOLUTION)?])
+    plausible([
+        side(directory::X_RESOLUTION)?,
+        side(directory::Y_RESOLUTION)?,
+    ])
 }
 
 /// `MPP = 0.4990` in an Aperio description.
@@ -229,7 +269,9 @@ mod tests {
     }
 
     fn one(pixels: &str) -> Described {
-        let text = format!("<?xml version=\"1.0\"?><OME xmlns=\"x\"><Image ID=\"Image:0\">{pixels}</Image></OME>");
+        let text = format!(
+            "<?xml version=\"1.0\"?><OME xmlns=\"x\"><Image ID=\"Image:0\">{pixels}</Image></OME>"
+        );
         images(&text, 100).remove(0)
     }
 
@@ -238,9 +280,11 @@ mod tests {
         let um = |attributes: &str| one(&format!("<Pixels SizeC=\"1\" {attributes}/>")).um_per_px;
         assert_eq!(um("PhysicalSizeX=\"0.5\" PhysicalSizeY=\"0.5\""), Some(0.5));
         assert_eq!(um("PhysicalSizeX=\"0.5\""), Some(0.5));
-        let of = |v: &str, unit: &str| um(&format!(
-            "PhysicalSizeX=\"{v}\" PhysicalSizeXUnit=\"{unit}\" PhysicalSizeY=\"{v}\" PhysicalSizeYUnit=\"{unit}\""
-        ));
+        let of = |v: &str, unit: &str| {
+            um(&format!(
+                "PhysicalSizeX=\"{v}\" PhysicalSizeXUnit=\"{unit}\" PhysicalSizeY=\"{v}\" PhysicalSizeYUnit=\"{unit}\""
+            ))
+        };
         assert_eq!(of("250", "nm"), Some(0.25));
         assert_eq!(of("0.002", "mm"), Some(2.0));
         assert_eq!(of("0.5", "&#181;m"), Some(0.5));
@@ -262,7 +306,8 @@ mod tests {
             <TiffData IFD=\"4\" FirstC=\"0\" PlaneCount=\"1\"/><TiffData IFD=\"2\" FirstC=\"2\" PlaneCount=\"1\"/></Pixels>");
         assert_eq!(told.pages, [Some(4), None, Some(2)]);
         assert_eq!(told.channels, ["DAPI", "", "FITC"]);
-        let colour = one("<Pixels SizeC=\"3\"><Channel SamplesPerPixel=\"3\"/><TiffData/></Pixels>");
+        let colour =
+            one("<Pixels SizeC=\"3\"><Channel SamplesPerPixel=\"3\"/><TiffData/></Pixels>");
         assert_eq!(colour.channels.len(), 1);
     }
 
@@ -285,7 +330,14 @@ mod tests {
 
     #[test]
     fn nonsense_tells_nothing() {
-        for text in ["", "<", "<OME", "<x/>", "<OME><Image><Pixels SizeC=\"-1\"", "<!DOCTYPE a [<!ENTITY b \"c\">]><OME/>"] {
+        for text in [
+            "",
+            "<",
+            "<OME",
+            "<x/>",
+            "<OME><Image><Pixels SizeC=\"-1\"",
+            "<!DOCTYPE a [<!ENTITY b \"c\">]><OME/>",
+        ] {
             assert!(images(text, 3).is_empty(), "{text}");
         }
     }

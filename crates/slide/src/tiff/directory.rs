@@ -108,12 +108,7 @@ pub(crate) fn all(input: &Input<'_>) -> Result<Vec<Directory>, Fault> {
 }
 
 /// The directories from an offset on. A later one that cannot be read, or one again, ends them.
-fn chain(
-    input: &Input<'_>,
-    form: Form,
-    first: u64,
-    most: usize,
-) -> Result<Vec<Directory>, Fault> {
+fn chain(input: &Input<'_>, form: Form, first: u64, most: usize) -> Result<Vec<Directory>, Fault> {
     let (mut at, mut seen, mut all) = (first, HashSet::new(), Vec::new());
     while at != 0 && all.len() < most && seen.insert(at) {
         match Directory::read(input, form, at) {
@@ -131,7 +126,8 @@ fn chain(
 impl Directory {
     /// A directory, and where the next one is, 0 after the last.
     fn read(input: &Input<'_>, form: Form, at: u64) -> Result<(Self, u64), Fault> {
-        let (count_bytes, entry_bytes, offset_bytes) = if form.wide { (8, 20, 8) } else { (2, 12, 4) };
+        let (count_bytes, entry_bytes, offset_bytes) =
+            if form.wide { (8, 20, 8) } else { (2, 12, 4) };
         let count = form.number(&input.bytes(at, count_bytes)?);
         if count == 0 || count > MAX_TAGS {
             return Err(Fault::Damaged(format!("a directory has {count} tags")));
@@ -161,7 +157,11 @@ impl Directory {
     }
 
     /// The bytes of a tag's values, each of so many bytes, and their type.
-    pub(crate) fn bytes(&self, input: &Input<'_>, tag: u16) -> Result<Option<(Vec<u8>, u64, u64)>, Fault> {
+    pub(crate) fn bytes(
+        &self,
+        input: &Input<'_>,
+        tag: u16,
+    ) -> Result<Option<(Vec<u8>, u64, u64)>, Fault> {
         let Some(entry) = self.tags.get(&tag) else {
             return Ok(None);
         };
@@ -170,7 +170,9 @@ impl Directory {
         };
         let total = entry.count.saturating_mul(size);
         if total > MAX_VALUE_BYTES {
-            return Err(Fault::Damaged(format!("tag {tag} claims an impossible size")));
+            return Err(Fault::Damaged(format!(
+                "tag {tag} claims an impossible size"
+            )));
         }
         let bytes = match total <= entry.field.len() as u64 {
             true => entry.field[..total as usize].to_vec(),
@@ -208,7 +210,10 @@ impl Directory {
         let (bytes, size, kind) = self.bytes(input, tag).ok()??;
         let value = match (kind, size) {
             (5, 8) => {
-                let (n, d) = (self.form.number(bytes.get(..4)?), self.form.number(bytes.get(4..8)?));
+                let (n, d) = (
+                    self.form.number(bytes.get(..4)?),
+                    self.form.number(bytes.get(4..8)?),
+                );
                 n as f64 / d as f64
             }
             (11, 4) => f64::from(f32::from_bits(self.form.number(bytes.get(..4)?) as u32)),
@@ -220,7 +225,11 @@ impl Directory {
 
     /// Directories that hang on this one: reduced images of it.
     pub(crate) fn children(&self, input: &Input<'_>) -> Vec<Directory> {
-        let offsets = self.numbers(input, SUB_IFDS).ok().flatten().unwrap_or_default();
+        let offsets = self
+            .numbers(input, SUB_IFDS)
+            .ok()
+            .flatten()
+            .unwrap_or_default();
         let mut all = Vec::new();
         for at in offsets.into_iter().take(64).filter(|at| *at != 0) {
             all.extend(chain(input, self.form, at, 64).unwrap_or_default());

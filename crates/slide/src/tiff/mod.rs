@@ -26,7 +26,12 @@ pub(crate) struct Tiff {
 }
 
 impl Tiff {
-    pub(crate) fn open(input: &Input<'_>, choice: Choice, budget: Budget, alpha: Alpha) -> Result<Self, Fault> {
+    pub(crate) fn open(
+        input: &Input<'_>,
+        choice: Choice,
+        budget: Budget,
+        alpha: Alpha,
+    ) -> Result<Self, Fault> {
         let chosen = pages::choose(input, choice)?;
         let mut choices = chosen.choices;
         // Where channels are pages the page was chosen by the channel.
@@ -81,7 +86,13 @@ impl Tiff {
     }
 
     /// A whole level.
-    pub(crate) fn decode(&self, input: &Input<'_>, level: usize, budget: Budget, sink: &mut dyn Sink) -> Result<(), Fault> {
+    pub(crate) fn decode(
+        &self,
+        input: &Input<'_>,
+        level: usize,
+        budget: Budget,
+        sink: &mut dyn Sink,
+    ) -> Result<(), Fault> {
         let page = &self.levels[level];
         for index in 0..page.count() {
             let [x, y, columns, rows] = page.inside(index);
@@ -99,9 +110,14 @@ impl Tiff {
     }
 
     /// The chunks that touch a rectangle of the stored image, each by its number and its place in that image.
-    pub(crate) fn chunks_in(&self, level: usize, stored: [i64; 4]) -> impl Iterator<Item = (u64, [u32; 4])> + '_ {
+    pub(crate) fn chunks_in(
+        &self,
+        level: usize,
+        stored: [i64; 4],
+    ) -> impl Iterator<Item = (u64, [u32; 4])> + '_ {
         let page = &self.levels[level];
-        page.chunks_in(stored).map(|index| (index, page.inside(index)))
+        page.chunks_in(stored)
+            .map(|index| (index, page.inside(index)))
     }
 
     /// Bytes of a chunk in colour.
@@ -111,7 +127,14 @@ impl Tiff {
     }
 
     /// One chunk, as it is stored, as far as it is inside the image. False for one that was never written.
-    pub(crate) fn chunk(&self, input: &Input<'_>, level: usize, index: u64, budget: Budget, sink: &mut dyn Sink) -> Result<bool, Fault> {
+    pub(crate) fn chunk(
+        &self,
+        input: &Input<'_>,
+        level: usize,
+        index: u64,
+        budget: Budget,
+        sink: &mut dyn Sink,
+    ) -> Result<bool, Fault> {
         let page = &self.levels[level];
         let columns = page.inside(index)[2] as usize;
         chunk::rows(page, input, index, budget, |j, row| {
@@ -127,7 +150,8 @@ fn estimate_range(page: &Page, input: &Input<'_>, budget: Budget) -> Result<[f64
     let chunks = page.count();
     let every = chunks.div_ceil(RANGE_CHUNKS).max(1);
     let [_, _, columns, rows] = page.inside(0);
-    let looked_at = u64::from(columns) * u64::from(rows) * chunks.div_ceil(every) * page.layout.samples as u64;
+    let looked_at =
+        u64::from(columns) * u64::from(rows) * chunks.div_ceil(every) * page.layout.samples as u64;
     let step = (looked_at / RANGE_VALUES as u64).max(1) as usize;
     let mut values = Vec::new();
     let mut skip = 0;

@@ -58,10 +58,14 @@ impl Page {
     ) -> Result<Self, Fault> {
         let stored = directory.size(input)?;
         crate::error::check_not_empty(stored[0], stored[1])?;
-        let number = |tag: u16, without: u64| Ok::<_, Fault>(directory.number(input, tag)?.unwrap_or(without));
+        let number = |tag: u16, without: u64| {
+            Ok::<_, Fault>(directory.number(input, tag)?.unwrap_or(without))
+        };
         let compression = compression(number(tag::COMPRESSION, 1)?)?;
         if compression == Compression::Fax3 && number(tag::FAX3_OPTIONS, 0)? & 1 == 1 {
-            return Err(Fault::Unsupported("a TIFF of two-dimensional group 3 fax".into()));
+            return Err(Fault::Unsupported(
+                "a TIFF of two-dimensional group 3 fax".into(),
+            ));
         }
         let (mut layout, bands) = layout(input, directory, compression, channel, alpha)?;
         let tiled = directory.has(tag::TILE_OFFSETS);
@@ -74,12 +78,17 @@ impl Page {
         };
         let chunk = match tiled {
             true => [side(tag::TILE_WIDTH, 0)?, side(tag::TILE_HEIGHT, 0)?],
-            false => [stored[0], side(tag::ROWS_PER_STRIP, stored[1])?.min(stored[1])],
+            false => [
+                stored[0],
+                side(tag::ROWS_PER_STRIP, stored[1])?.min(stored[1]),
+            ],
         };
         let mut planes = None;
         if number(tag::PLANAR, 1)? == 2 && layout.samples > 1 {
             if layout.bits % 8 != 0 {
-                return Err(Fault::Unsupported("a TIFF with planes of packed samples".into()));
+                return Err(Fault::Unsupported(
+                    "a TIFF with planes of packed samples".into(),
+                ));
             }
             planes = Some(match layout.only.take() {
                 Some(k) => {
@@ -101,7 +110,9 @@ impl Page {
             counts,
             compression,
             predictor: match compression {
-                Compression::Lzw | Compression::Deflate | Compression::Zstd => number(tag::PREDICTOR, 1)?,
+                Compression::Lzw | Compression::Deflate | Compression::Zstd => {
+                    number(tag::PREDICTOR, 1)?
+                }
                 _ => 1,
             },
             layout,
@@ -127,7 +138,9 @@ impl Page {
             Kind::Float => matches!(bits, 16 | 32 | 64),
         };
         if !known {
-            return Err(Fault::Unsupported(format!("a TIFF of {kind:?} samples of {bits} bits")));
+            return Err(Fault::Unsupported(format!(
+                "a TIFF of {kind:?} samples of {bits} bits"
+            )));
         }
         let predicted = match self.predictor {
             1 => true,
@@ -136,12 +149,22 @@ impl Page {
             _ => false,
         };
         if !predicted {
-            return Err(Fault::Unsupported(format!("predictor {} with {bits} bits", self.predictor)));
+            return Err(Fault::Unsupported(format!(
+                "predictor {} with {bits} bits",
+                self.predictor
+            )));
         }
         // A row is unpacked several times over.
         let [width, height] = self.chunk;
-        budget.check([width, height], 4 * self.layout.row_bytes(width, self.layout.samples) + 16 * u64::from(width) * self.layout.samples as u64)?;
-        let planes = self.planes.as_ref().map_or(1, |p| p.iter().max().map_or(1, |m| m + 1)) as u64;
+        budget.check(
+            [width, height],
+            4 * self.layout.row_bytes(width, self.layout.samples)
+                + 16 * u64::from(width) * self.layout.samples as u64,
+        )?;
+        let planes = self
+            .planes
+            .as_ref()
+            .map_or(1, |p| p.iter().max().map_or(1, |m| m + 1)) as u64;
         let needed = self.per_plane().saturating_mul(planes);
         if (self.offsets.len() as u64) < needed {
             return Err(Fault::Damaged(format!(
@@ -149,7 +172,11 @@ impl Page {
                 self.offsets.len()
             )));
         }
-        let ends = self.offsets.iter().zip(&self.counts).filter(|(at, n)| **at > 0 && **n > 0);
+        let ends = self
+            .offsets
+            .iter()
+            .zip(&self.counts)
+            .filter(|(at, n)| **at > 0 && **n > 0);
         let end = ends.map(|(at, n)| at.saturating_add(*n)).max().unwrap_or(0);
         match end > input.length() {
             true => Err(Fault::Truncated(format!(
@@ -195,10 +222,15 @@ impl Page {
         let across = (width + cw - 1) / cw;
         let span = |from: i64, n: i64, size: i64, chunk: i64| {
             let (a, b) = (from.max(0), from.saturating_add(n).min(size));
-            if b > a { a / chunk..(b - 1) / chunk + 1 } else { 0..0 }
+            if b > a {
+                a / chunk..(b - 1) / chunk + 1
+            } else {
+                0..0
+            }
         };
         let columns = span(x, w, width, cw);
-        span(y, h, height, ch).flat_map(move |r| columns.clone().map(move |c| (r * across + c) as u64))
+        span(y, h, height, ch)
+            .flat_map(move |r| columns.clone().map(move |c| (r * across + c) as u64))
     }
 }
 
@@ -223,13 +255,19 @@ fn compression(number: u64) -> Result<Compression, Fault> {
                 50002 => "JPEG XL",
                 _ => "unknown",
             };
-            return Err(Fault::Unsupported(format!("TIFF compression {other} ({name})")));
+            return Err(Fault::Unsupported(format!(
+                "TIFF compression {other} ({name})"
+            )));
         }
     })
 }
 
 /// Offsets and lengths of all chunks.
-fn chunks(input: &Input<'_>, directory: &Directory, tiled: bool) -> Result<(Vec<u64>, Vec<u64>), Fault> {
+fn chunks(
+    input: &Input<'_>,
+    directory: &Directory,
+    tiled: bool,
+) -> Result<(Vec<u64>, Vec<u64>), Fault> {
     let (at, count) = match tiled {
         true => (tag::TILE_OFFSETS, tag::TILE_COUNTS),
         false => (tag::STRIP_OFFSETS, tag::STRIP_COUNTS),
@@ -239,7 +277,10 @@ fn chunks(input: &Input<'_>, directory: &Directory, tiled: bool) -> Result<(Vec<
     let counts = match directory.numbers(input, count)? {
         Some(counts) if counts.len() >= offsets.len() => counts,
         // Old writers leave them out: up to the end, then.
-        _ => offsets.iter().map(|at| input.length().saturating_sub(*at)).collect(),
+        _ => offsets
+            .iter()
+            .map(|at| input.length().saturating_sub(*at))
+            .collect(),
     };
     Ok((offsets, counts))
 }
@@ -252,12 +293,17 @@ fn layout(
     channel: Option<usize>,
     alpha: Alpha,
 ) -> Result<(Layout, usize), Fault> {
-    let number = |tag: u16, without: u64| Ok::<_, Fault>(directory.number(input, tag)?.unwrap_or(without));
+    let number =
+        |tag: u16, without: u64| Ok::<_, Fault>(directory.number(input, tag)?.unwrap_or(without));
     let samples = number(tag::SAMPLES, 1)?.clamp(1, 4096) as usize;
-    let all_bits = directory.numbers(input, tag::BITS)?.unwrap_or_else(|| vec![1]);
+    let all_bits = directory
+        .numbers(input, tag::BITS)?
+        .unwrap_or_else(|| vec![1]);
     let bits = all_bits.first().copied().unwrap_or(1);
     if all_bits.iter().any(|b| *b != bits) {
-        return Err(Fault::Unsupported("a TIFF whose samples have different bits".into()));
+        return Err(Fault::Unsupported(
+            "a TIFF whose samples have different bits".into(),
+        ));
     }
     let bits = u16::try_from(bits).unwrap_or(0);
     let kind = match number(tag::SAMPLE_FORMAT, 1)? {
@@ -275,18 +321,30 @@ fn layout(
         2 => Colour::Rgb,
         3 => Colour::Palette(palette(input, directory, bits)?),
         5 => Colour::Cmyk,
-        6 if compression == Compression::Jpeg2000 && number(tag::COMPRESSION, 1)? == 33003 => Colour::YCbCr,
+        6 if compression == Compression::Jpeg2000 && number(tag::COMPRESSION, 1)? == 33003 => {
+            Colour::YCbCr
+        }
         // The decoder makes RGB of it.
         6 if as_colour => Colour::Rgb,
         6 => match directory.numbers(input, tag::SUBSAMPLING)?.as_deref() {
             Some([1, 1, ..]) => Colour::YCbCr,
-            _ => return Err(Fault::Unsupported("a TIFF of subsampled YCbCr without JPEG".into())),
+            _ => {
+                return Err(Fault::Unsupported(
+                    "a TIFF of subsampled YCbCr without JPEG".into(),
+                ));
+            }
         },
-        other => return Err(Fault::Unsupported(format!("a TIFF of photometric kind {other}"))),
+        other => {
+            return Err(Fault::Unsupported(format!(
+                "a TIFF of photometric kind {other}"
+            )));
+        }
     };
     let of_colour = colour.samples();
     if samples < of_colour {
-        return Err(Fault::Damaged(format!("it has {samples} samples for its colour")));
+        return Err(Fault::Damaged(format!(
+            "it has {samples} samples for its colour"
+        )));
     }
     let extra = directory.numbers(input, tag::EXTRA_SAMPLES)?;
     let opacity = match extra.as_deref() {
@@ -322,8 +380,11 @@ fn layout(
         only,
         range: [0.0, 1.0],
     };
-    if as_colour && (layout.bits != 8 || kind != Kind::Unsigned) && compression == Compression::Jpeg {
-        return Err(Fault::Unsupported(format!("a TIFF of JPEG with {bits} bits")));
+    if as_colour && (layout.bits != 8 || kind != Kind::Unsigned) && compression == Compression::Jpeg
+    {
+        return Err(Fault::Unsupported(format!(
+            "a TIFF of JPEG with {bits} bits"
+        )));
     }
     Ok((layout, bands))
 }
@@ -331,7 +392,9 @@ fn layout(
 /// The colours of a palette, in 8 bits.
 fn palette(input: &Input<'_>, directory: &Directory, bits: u16) -> Result<Vec<[u8; 3]>, Fault> {
     if !matches!(bits, 1 | 2 | 4 | 8) {
-        return Err(Fault::Unsupported(format!("a TIFF with a palette of {bits} bits")));
+        return Err(Fault::Unsupported(format!(
+            "a TIFF with a palette of {bits} bits"
+        )));
     }
     let map = directory.numbers(input, tag::COLOR_MAP)?;
     let map = map.ok_or_else(|| Fault::Damaged("its palette is missing".into()))?;
@@ -339,5 +402,7 @@ fn palette(input: &Input<'_>, directory: &Directory, bits: u16) -> Result<Vec<[u
     // Some write 8 bits where 16 belong.
     let shift = if map.iter().any(|v| *v > 255) { 257 } else { 1 };
     let level = |v: u64| ((v + shift / 2) / shift).min(255) as u8;
-    Ok((0..n).map(|k| [level(map[k]), level(map[n + k]), level(map[2 * n + k])]).collect())
+    Ok((0..n)
+        .map(|k| [level(map[k]), level(map[n + k]), level(map[2 * n + k])])
+        .collect())
 }

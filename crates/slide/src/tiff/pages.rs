@@ -24,11 +24,15 @@ pub(crate) struct Chosen {
 /// Finds the image that `choice` asks for; without a wish the finest tiled one, else the first.
 pub(crate) fn choose(input: &Input<'_>, choice: Choice) -> Result<Chosen, Fault> {
     let all = directory::all(input)?;
-    let text = all[0].text(input, directory::DESCRIPTION).unwrap_or_default();
+    let text = all[0]
+        .text(input, directory::DESCRIPTION)
+        .unwrap_or_default();
     let images = described::images(&text, all.len());
     let mut found = Vec::with_capacity(all.len());
     for directory in all {
-        let kind = directory.number(input, directory::NEW_SUBFILE_TYPE)?.unwrap_or(0);
+        let kind = directory
+            .number(input, directory::NEW_SUBFILE_TYPE)?
+            .unwrap_or(0);
         found.push(Found {
             // A later page of an unknown kind does not spoil the image.
             size: directory.size(input).unwrap_or([0, 0]),
@@ -51,11 +55,16 @@ pub(crate) fn choose(input: &Input<'_>, choice: Choice) -> Result<Chosen, Fault>
         (None, None) => pages[0],
         (None, Some(channel)) => page_of(&images, channel)?.unwrap_or(pages[0]),
     };
-    let of = images.iter().find(|d| (d.span[0]..d.span[1]).contains(&page));
+    let of = images
+        .iter()
+        .find(|d| (d.span[0]..d.span[1]).contains(&page));
     let chosen = &found[page];
     let text = match page {
         0 => text.clone(),
-        _ => chosen.directory.text(input, directory::DESCRIPTION).unwrap_or_default(),
+        _ => chosen
+            .directory
+            .text(input, directory::DESCRIPTION)
+            .unwrap_or_default(),
     };
     let um_per_px = of
         .and_then(|d| d.um_per_px)
@@ -68,7 +77,9 @@ pub(crate) fn choose(input: &Input<'_>, choice: Choice) -> Result<Chosen, Fault>
     }
     if reduced.is_empty() {
         let levels = levels_below(&sizes, page).into_iter();
-        reduced = levels.map(|k| (found[k].directory.clone(), found[k].size)).collect();
+        reduced = levels
+            .map(|k| (found[k].directory.clone(), found[k].size))
+            .collect();
     }
     reduced.retain(|(_, size)| is_reduced(chosen.size, *size));
     reduced.sort_by_key(|(_, [w, h])| std::cmp::Reverse(u64::from(*w) * u64::from(*h)));
@@ -84,7 +95,9 @@ pub(crate) fn choose(input: &Input<'_>, choice: Choice) -> Result<Chosen, Fault>
         choices: Choices {
             pages: pages.len(),
             page,
-            channel: of.and_then(|d| d.pages.iter().position(|p| *p == Some(page))).unwrap_or(0),
+            channel: of
+                .and_then(|d| d.pages.iter().position(|p| *p == Some(page)))
+                .unwrap_or(0),
             channels,
         },
     })
@@ -128,9 +141,10 @@ fn is_reduced(of: [u32; 2], size: [u32; 2]) -> bool {
 /// for those that say that they are reduced or a mask.
 fn pages_among(pages: &[Seen]) -> Vec<usize> {
     let any_tiled = pages.iter().any(|p| p.1 && !p.2);
-    let candidates = pages.iter().enumerate().filter(|(_, (size, tiled, lesser))| {
-        area(*size) > 0 && !lesser && (*tiled || !any_tiled)
-    });
+    let candidates = pages
+        .iter()
+        .enumerate()
+        .filter(|(_, (size, tiled, lesser))| area(*size) > 0 && !lesser && (*tiled || !any_tiled));
     let mut own: Vec<usize> = candidates.map(|(k, _)| k).collect();
     if any_tiled {
         // The finest, and those as fine.
@@ -155,7 +169,13 @@ fn levels_below(pages: &[Seen], page: usize) -> Vec<usize> {
             is_reduced(size, s) && if tiled { t } else { lesser && !t }
         })
         .collect();
-    let of_rank = |k: &usize| below.iter().filter(|j| *j < k && pages[**j].0 == pages[*k].0).count() == rank;
+    let of_rank = |k: &usize| {
+        below
+            .iter()
+            .filter(|j| *j < k && pages[**j].0 == pages[*k].0)
+            .count()
+            == rank
+    };
     below.iter().copied().filter(|k| of_rank(k)).collect()
 }
 
