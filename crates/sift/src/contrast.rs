@@ -147,7 +147,8 @@ fn value(ordered: i32) -> f32 {
 
 /// Standard deviation of white noise: median absolute response of the mask `[1 -2 1] x [1 -2 1]`, which has gain 6 for noise and
 /// next to none for anything that optics have blurred (Immerkaer, CVIU 1996; the median ignores the edges that remain).
-fn noise_sigma(image: &GrayImage) -> f32 {
+#[must_use]
+pub fn noise_sigma(image: &GrayImage) -> f32 {
     let (w, h) = (image.width(), image.height());
     if w < 3 || h < 3 {
         return 0.0;
@@ -237,6 +238,60 @@ mod tests {
                 .threshold(&options, 0, 1)
         };
         assert!((render(0.1, 0.4) / render(1.0, 0.0) - 0.1).abs() < 1e-3);
+    }
+
+    #[test]
+    fn one_extreme_pixel_a_bead_or_a_scale_bar_sets_no_threshold() {
+        let options = Options::default();
+        let of = |extreme: &dyn Fn(usize, usize) -> Option<f32>| {
+            let image = GrayImage::from_fn(200, 160, |x, y| {
+                let tissue = 0.02 + 0.01 * (x as f32 * 0.3).sin() * (y as f32 * 0.2).cos();
+                extreme(x, y).unwrap_or(tissue)
+            });
+            Contrast::of(&image.unwrap(), &options)
+                .unwrap()
+                .threshold(&options, 0, 1)
+        };
+        let clean = of(&|_, _| None);
+        let hot = of(&|x, y| ((x, y) == (70, 33)).then_some(1.0));
+        let dead = of(&|x, y| ((x, y) == (71, 90)).then_some(0.0));
+        let bead = of(&|x, y| (x.abs_diff(100) + y.abs_diff(80) < 6).then_some(1.0));
+        let bar = of(&|x, y| ((150..190).contains(&x) && (150..154).contains(&y)).then_some(1.0));
+        for (name, with) in [("hot", hot), ("dead", dead), ("bead", bead), ("bar", bar)] {
+            assert!(
+                (0.9..1.1).contains(&(with / clean)),
+                "{name}: {with} {clean}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_few_bright_spots_on_black_are_measured_by_themselves_and_not_by_a_hot_pixel() {
+        let options = Options::default();
+        let of = |hot: f32| {
+            let image = GrayImage::from_fn(200, 160, |x, y| {
+                let spot = |u: f32, v: f32| {
+                    (-((x as f32 - u).powi(2) + (y as f32 - v).powi(2)) / 8.0).exp()
+                };
+                if (x, y) == (10, 10) {
+                    hot
+                } else {
+                    0.1 * (spot(60.0, 50.0) + spot(120.0, 100.0))
+                }
+            });
+            Contrast::of(&image.unwrap(), &options)
+                .unwrap()
+                .threshold(&options, 0, 1)
+        };
+        let clean = of(0.0);
+        assert!(clean > 0.0);
+        for hot in [0.2, 1.0, 50.0] {
+            assert!(
+                (of(hot) / clean - 1.0).abs() < 0.1,
+                "{hot}: {} {clean}",
+                of(hot)
+            );
+        }
     }
 
     #[test]

@@ -174,7 +174,8 @@ fn estimate_range(page: &Page, input: &Input<'_>, budget: Budget) -> Result<[f64
         return Ok([0.0, 1.0]);
     };
     let last = values.len() - 1;
-    let rank = last / 1000;
+    // Of few values the extreme ones are some all the same.
+    let rank = (last / 1000).max(4).min(last / 2);
     let (low, high) = (values[rank], values[last - rank]);
     if page.layout.kind == crate::layout::Kind::Float && low >= 0.0 && high <= 1.0 && high > 0.1 {
         return Ok([0.0, 1.0]);
