@@ -277,6 +277,7 @@ fn code(reason: &NotFound) -> &'static str {
         NotFound::NoAgreement { .. } => "no_agreement",
         NotFound::ByChance { .. } => "by_chance",
         NotFound::PixelsDisagree { .. } => "pixels_disagree",
+        NotFound::Mirrored { .. } => "mirrored",
         NotFound::Uncertain { .. } => "uncertain",
     }
 }

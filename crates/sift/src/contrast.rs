@@ -13,8 +13,11 @@ const NOISE_FACTOR: f32 = 3.0;
 /// few places,
 const FLAT: f32 = 6.0;
 
-/// and its spread is the full range divided by this: a few bright spots on black.
-const FULL_RANGE_DIVISOR: f32 = 16.0;
+/// and its spread is at least the full range divided by this: a few bright spots on black.
+const FLAT_DIVISOR: f32 = 16.0;
+
+/// Else the spots may be beads or a scale bar beside tissue, which has its own range; what they leave around themselves has less.
+const RANGE_DIVISOR: f32 = 64.0;
 
 /// Rounding in the blurs reaches about 2e-7 of the values; the threshold stays well above it.
 const ROUNDING: f32 = 4e-6;
@@ -40,11 +43,12 @@ impl Contrast {
                 || (percentile_range(data), range(data)),
                 || noise_sigma(image),
             );
-            // One extreme pixel, dead or hot, or a scale bar must not set the threshold for all others.
-            let spread = match percentiles > FLAT * noise {
-                true => percentiles,
-                false => percentiles.max(supported_range(image) / FULL_RANGE_DIVISOR),
+            // One extreme pixel, dead or hot, must not set the threshold for all others, nor a scale bar.
+            let divisor = match percentiles > FLAT * noise {
+                true => RANGE_DIVISOR,
+                false => FLAT_DIVISOR,
             };
+            let spread = percentiles.max(supported_range(image) / divisor);
             (range, Some((spread, noise)))
         };
         let ((low, high), adapted) = if options.adapt_contrast {

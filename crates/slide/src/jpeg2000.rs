@@ -1,5 +1,7 @@
 //! JPEG 2000, decoded in one piece to 8 bits.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
 use hayro_jpeg2000::{DecodeSettings, Image};
 
 use crate::{Budget, Fault};
@@ -21,7 +23,10 @@ pub(crate) fn decode(bytes: &[u8], budget: Budget) -> Result<(Vec<u8>, [u32; 2],
         strict: true,
         target_resolution: None,
     };
-    let image = Image::new(bytes, &settings).map_err(|e| damaged(&e))?;
+    // The decoder is young: should it lose its way in damaged data, the data are damaged.
+    let lost = |_| damaged(&"its decoder lost its way");
+    let image = catch_unwind(|| Image::new(bytes, &settings)).map_err(lost)?;
+    let image = image.map_err(|e| damaged(&e))?;
     let size = [image.width(), image.height()];
     crate::error::check_not_empty(size[0], size[1])?;
     let samples = usize::from(image.color_space().num_channels()) + usize::from(image.has_alpha());
@@ -30,11 +35,51 @@ pub(crate) fn decode(bytes: &[u8], budget: Budget) -> Result<(Vec<u8>, [u32; 2],
         size,
         count.saturating_mul(BYTES_PER_SAMPLE) + bytes.len() as u64,
     )?;
-    let decoded = image.decode().map_err(|e| damaged(&e))?;
+    let decoded = catch_unwind(AssertUnwindSafe(|| image.decode())).map_err(lost)?;
+    let decoded = decoded.map_err(|e| damaged(&e))?;
     match decoded.len() as u64 == count {
         true => Ok((decoded, size, samples)),
         false => Err(Fault::Damaged(
             "the JPEG 2000 decodes to another size".into(),
         )),
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// 16 x 12 pixels, `10 x + 7 y`, without loss.
+    pub(crate) const SLOPE: &[u8] = b"\
+          \xff\x4f\xff\x51\x00\x29\x00\x00\x00\x00\x00\x10\x00\x00\x00\x0c\x00\x00\x00\x00\x00\x00\x00\x00\x00\
+          \x00\x00\x10\x00\x00\x00\x0c\x00\x00\x00\x00\x00\x00\x00\x00\x00\x01\x07\x01\x01\xff\x52\x00\x0c\x00\
+          \x00\x00\x01\x00\x03\x04\x04\x00\x01\xff\x5c\x00\x0d\x40\x40\x48\x48\x50\x48\x48\x50\x48\x48\x50\xff\
+          \x90\x00\x0a\x00\x00\x00\x00\x00\x3d\x00\x01\xff\x93\xdf\x80\x30\x07\x8a\xd9\xff\x60\x7f\xc3\xea\x03\
+          \x80\x74\x10\x0d\x00\x99\x08\xc1\xf3\x84\x83\xe7\x06\x1b\xf5\xff\x7f\x0c\xbf\x5f\xc0\xf9\x02\xc0\x7c\
+          \x21\x80\x36\x9d\x25\x7e\x3f\x40\x8d\xc0\xff\xd9";
+
+    const BUDGET: Budget = Budget { bytes: 1 << 20 };
+
+    #[test]
+    fn a_slope_comes_back() {
+        assert!(begins(SLOPE));
+        let (samples, size, channels) = decode(SLOPE, BUDGET).unwrap();
+        assert_eq!((size, channels), ([16, 12], 1));
+        for (i, v) in (0..).zip(samples) {
+            assert_eq!(v, (10 * (i % 16) + 7 * (i / 16)) as u8);
+        }
+    }
+
+    #[test]
+    fn what_is_cut_or_too_large_is_refused() {
+        for cut in [20, SLOPE.len() / 2, 60] {
+            assert!(decode(&SLOPE[..cut], BUDGET).is_err(), "{cut}");
+        }
+        let mut large = SLOPE.to_vec();
+        for at in [8, 12, 24, 28] {
+            large[at..at + 4].copy_from_slice(&30_000_u32.to_be_bytes());
+        }
+        let e = decode(&large, BUDGET).unwrap_err();
+        assert!(matches!(e, Fault::TooLarge { .. }), "{e}");
     }
 }

@@ -49,8 +49,8 @@ impl<'a> Source<'a> {
         let format = match sniff(&input)? {
             Kind::Png => Format::Png(Png::open(&input, budget, alpha)?),
             Kind::Jpeg => Format::Jpeg(match &input {
-                Input::Bytes(bytes) => Jpeg::open(*bytes)?,
-                Input::File { .. } => Jpeg::open(all(&input, budget)?)?,
+                Input::Bytes(bytes) => Jpeg::open(*bytes, budget)?,
+                Input::File { .. } => Jpeg::open(all(&input, budget)?, budget)?,
             }),
             Kind::Jpeg2000 => {
                 let bytes = all(&input, budget)?;

@@ -1,5 +1,7 @@
 //! JPEG: proved whole, then decoded in one piece, or by the means of its blocks where it is to be reduced eight times or more.
 
+mod codes;
+mod scans;
 mod whole;
 
 use std::borrow::Cow;
@@ -54,8 +56,8 @@ fn decoder(bytes: &[u8]) -> Result<Decoder<'_>, Fault> {
 
 impl<'a> Jpeg<'a> {
     /// Looks through the whole stream.
-    pub(crate) fn open(bytes: impl Into<Cow<'a, [u8]>>) -> Result<Self, Fault> {
-        let whole = whole::whole(bytes)?;
+    pub(crate) fn open(bytes: impl Into<Cow<'a, [u8]>>, budget: Budget) -> Result<Self, Fault> {
+        let whole = whole::whole(bytes, budget)?;
         let mut opened = Self {
             plan: whole.plan,
             space: ColorSpace::Unknown,

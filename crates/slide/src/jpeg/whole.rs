@@ -2,7 +2,9 @@
 //! lost packet or a cut file leaves it, must not pass for a view. So the codes are walked through and its blocks counted, without decoding
 //! them. On the way the mean of each block is known, which is the image reduced eight times.
 
-use crate::Fault;
+use super::codes::{Bits, Table, Tables, segments};
+use super::scans;
+use crate::{Budget, Fault};
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
 use std::borrow::Cow;
@@ -29,46 +31,11 @@ const RESTART_INTERVAL: u8 = 0xdd;
 /// Baseline and extended sequential frames: one scan, or one for each component.
 const SEQUENTIAL: [u8; 2] = [0xc0, 0xc1];
 
-/// A segment before the first scan's data, that of the scan included.
-struct Segment<'a> {
-    kind: u8,
-    /// With its marker.
-    whole: &'a [u8],
-    /// Where it ends in the file.
-    end: usize,
-}
-
-impl<'a> Segment<'a> {
-    fn data(&self) -> &'a [u8] {
-        &self.whole[4..]
-    }
-}
-
-fn segments(bytes: &[u8]) -> impl Iterator<Item = Segment<'_>> {
-    let mut at = 2;
-    let mut over = false;
-    std::iter::from_fn(move || {
-        // Any number of 0xff may stand before a marker.
-        while bytes.get(at) == Some(&0xff) && bytes.get(at + 1) == Some(&0xff) {
-            at += 1;
-        }
-        let &[0xff, kind, high, low] = bytes.get(at..at + 4)?.first_chunk()? else {
-            return None;
-        };
-        let end = at + 2 + usize::from(u16::from_be_bytes([high, low]));
-        let whole = bytes.get(at..end).filter(|w| w.len() >= 4 && !over)?;
-        over = kind == SCAN;
-        at = end;
-        Some(Segment { kind, whole, end })
-    })
-}
-
 /// A JPEG that is all there.
 pub(crate) struct Whole<'a> {
     /// The file up to its end marker, with Huffman tables.
     pub(crate) bytes: Cow<'a, [u8]>,
-    /// What its one sequential scan is made of. `None` for progressive files and those in several scans, which are taken on trust but for
-    /// their end: their decoder is strict.
+    /// What its one sequential scan is made of; `None` for progressive files and those in several scans.
     pub(crate) plan: Option<Plan>,
 }
 
@@ -76,7 +43,10 @@ pub(crate) struct Whole<'a> {
 ///
 /// # Errors
 /// [`Fault::Truncated`], [`Fault::Damaged`].
-pub(crate) fn whole<'a>(bytes: impl Into<Cow<'a, [u8]>>) -> Result<Whole<'a>, Fault> {
+pub(crate) fn whole<'a>(
+    bytes: impl Into<Cow<'a, [u8]>>,
+    budget: Budget,
+) -> Result<Whole<'a>, Fault> {
     let bytes = bytes.into();
     let cut = || Fault::Truncated("the JPEG has no end marker".into());
     let end = end(&bytes).ok_or_else(cut)?;
@@ -93,8 +63,9 @@ pub(crate) fn whole<'a>(bytes: impl Into<Cow<'a, [u8]>>) -> Result<Whole<'a>, Fa
         false => Cow::Owned([&bytes[..2], &STANDARD_TABLES, &bytes[2..]].concat()),
     };
     let plan = Plan::read(&bytes);
-    if let Some(plan) = &plan {
-        plan.walk(&bytes, |_, _| {})?;
+    match &plan {
+        Some(plan) => plan.walk(&bytes, |_, _| {})?,
+        None => scans::walk(&bytes, budget)?,
     }
     Ok(Whole { bytes, plan })
 }
@@ -120,61 +91,6 @@ fn end(data: &[u8]) -> Option<usize> {
         }
     }
     None
-}
-
-/// Codes of up to so many bits are looked up at once.
-const SHORT: u32 = 9;
-
-/// A Huffman table.
-#[derive(Debug, Clone)]
-struct Table {
-    /// For lengths 1 to 16: first code, number of codes, place of the first value.
-    lengths: [(u32, u32, usize); 16],
-    values: Vec<u8>,
-    /// For the next bits: how many of them are a code, 0 for a longer one, and its value.
-    short: Vec<(u8, u8)>,
-}
-
-impl Table {
-    fn new(counts: &[u8], values: &[u8]) -> Self {
-        let (mut code, mut place) = (0_u32, 0);
-        let mut lengths = [(0, 0, 0); 16];
-        let mut short = vec![(0, 0); 1 << SHORT];
-        for ((bits, length), count) in (1..).zip(&mut lengths).zip(counts) {
-            *length = (code, u32::from(*count), place);
-            for k in 0..u32::from(*count) {
-                if bits <= SHORT {
-                    let from = ((code + k) << (SHORT - bits)) as usize;
-                    let codes = short.iter_mut().skip(from).take(1 << (SHORT - bits));
-                    codes.for_each(|s| *s = (bits as u8, values[place + k as usize]));
-                }
-            }
-            code = (code + u32::from(*count)) << 1;
-            place += usize::from(*count);
-        }
-        Self {
-            lengths,
-            values: values.to_vec(),
-            short,
-        }
-    }
-
-    fn read(&self, bits: &mut Bits<'_>) -> Option<u8> {
-        let next = bits.peek();
-        let (length, value) = self.short[(next >> (16 - SHORT)) as usize];
-        if length > 0 {
-            bits.pass(length.into())?;
-            return Some(value);
-        }
-        for (length, (first, count, place)) in (1..).zip(&self.lengths) {
-            let code = next >> (16 - length);
-            if code >= *first && code - first < *count {
-                bits.pass(length)?;
-                return self.values.get(place + (code - first) as usize).copied();
-            }
-        }
-        None
-    }
 }
 
 /// A block of an MCU.
@@ -205,23 +121,13 @@ pub(crate) struct Plan {
 impl Plan {
     /// `None` for what is not one sequential scan, or makes no sense, which the decoder tells better.
     fn read(bytes: &[u8]) -> Option<Self> {
-        let mut tables: [[Option<Table>; 4]; 2] = Default::default();
+        let mut tables = Tables::default();
         let mut steps = [None; 4];
         let (mut frame, mut interval) = (None, 0);
         for segment in segments(bytes) {
             let data = segment.data();
             match segment.kind {
-                TABLES => {
-                    let mut rest = data;
-                    while let [class, more @ ..] = rest {
-                        let counts = more.get(..16)?;
-                        let n = counts.iter().map(|c| usize::from(*c)).sum::<usize>();
-                        let values = more.get(16..16 + n)?;
-                        let place = tables.get_mut(usize::from(class >> 4))?;
-                        *place.get_mut(usize::from(class & 15))? = Some(Table::new(counts, values));
-                        rest = &more[16 + n..];
-                    }
-                }
+                TABLES => tables.read(data)?,
                 QUANTISATION => {
                     let mut rest = data;
                     while let [kind, more @ ..] = rest {
@@ -250,12 +156,7 @@ impl Plan {
         None
     }
 
-    fn of(
-        frame: &[u8],
-        scan: &[u8],
-        tables: &[[Option<Table>; 4]; 2],
-        start: usize,
-    ) -> Option<Self> {
+    fn of(frame: &[u8], scan: &[u8], tables: &Tables, start: usize) -> Option<Self> {
         let &[8, h1, h0, w1, w0, n, ref parts @ ..] = frame else {
             return None;
         };
@@ -278,8 +179,7 @@ impl Plan {
         let mut blocks = Vec::new();
         for (component, part) in parts.iter().enumerate() {
             let chosen = scan[1..].chunks_exact(2).find(|s| s[0] == part[0])?[1];
-            let table = |class: usize, id: u8| tables[class].get(usize::from(id))?.clone();
-            let (dc, ac) = (table(0, chosen >> 4)?, table(1, chosen & 15)?);
+            let (dc, ac) = (tables.get(0, chosen >> 4)?, tables.get(1, chosen & 15)?);
             let [h, v] = count(part);
             blocks.extend((0..h * v).map(|_| Block {
                 component,
@@ -314,12 +214,7 @@ impl Plan {
         bytes: &[u8],
         mut each: impl FnMut([usize; 2], i32),
     ) -> Result<(), Fault> {
-        let mut bits = Bits {
-            bytes: &bytes[self.start..],
-            at: 0,
-            held: 0,
-            left: 0,
-        };
+        let mut bits = Bits::new(&bytes[self.start..]);
         let count = self.across * self.down;
         let mut levels = [0_i32; 16];
         for mcu in 0..count {
@@ -370,83 +265,13 @@ impl Block {
     }
 }
 
-/// The bits of a scan, up to a marker.
-struct Bits<'a> {
-    bytes: &'a [u8],
-    at: usize,
-    /// The bits that were taken from the bytes and not passed yet, in the low ones.
-    held: u64,
-    left: u32,
-}
-
-impl Bits<'_> {
-    /// The next 16 bits; zeros stand for those beyond the end.
-    fn peek(&mut self) -> u32 {
-        while self.left < 32 {
-            match (self.bytes.get(self.at), self.bytes.get(self.at + 1)) {
-                // A zero after it is filling; anything else is a marker.
-                (Some(0xff), Some(0)) => self.at += 2,
-                (None | Some(0xff), _) => break,
-                (Some(_), _) => self.at += 1,
-            }
-            // After 0xff the filling was passed, too.
-            let byte = match self.bytes[self.at - 1] {
-                0 if self.at > 1 && self.bytes[self.at - 2] == 0xff => 0xff,
-                byte => byte,
-            };
-            self.held = self.held << 8 | u64::from(byte);
-            self.left += 8;
-        }
-        let held = match self.left {
-            16.. => self.held >> (self.left - 16),
-            short => self.held << (16 - short),
-        };
-        (held & 0xffff) as u32
-    }
-
-    /// Passes over bits that were looked at. `None` when there are not as many.
-    fn pass(&mut self, count: u32) -> Option<()> {
-        self.left = self.left.checked_sub(count)?;
-        self.held &= (1 << self.left) - 1;
-        Some(())
-    }
-
-    /// A number of so many bits, of which the lower half is negative.
-    fn signed(&mut self, size: u8) -> Option<i32> {
-        let size = u32::from(size);
-        if size > 16 {
-            return None;
-        }
-        let value = (self.peek() >> (16 - size)) as i32;
-        self.pass(size)?;
-        let below = size > 0 && value < 1 << (size - 1);
-        Some(if below {
-            value + 1 - (1 << size)
-        } else {
-            value
-        })
-    }
-
-    /// Passes over the restart marker of that number, which must come next.
-    fn restart(&mut self, number: usize) -> Option<()> {
-        self.peek();
-        if self.left >= 8 {
-            return None;
-        }
-        (self.left, self.held) = (0, 0);
-        while self.bytes.get(self.at) == Some(&0xff) && self.bytes.get(self.at + 1) == Some(&0xff) {
-            self.at += 1;
-        }
-        let marker = [0xff, 0xd0 + ((number - 1) % 8) as u8];
-        let found = self.bytes.get(self.at..self.at + 2)? == marker;
-        self.at += 2;
-        found.then_some(())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn whole(bytes: &[u8]) -> Result<Whole<'_>, Fault> {
+        super::whole(bytes, Budget { bytes: 1 << 24 })
+    }
 
     const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
 
@@ -514,7 +339,7 @@ mod tests {
         assert_eq!(end(&[]), None);
         let bytes = jpeg(40, 24, 90);
         for more in [&[0; 300][..], b"\r\n", b"and a film", &jpeg(8, 8, 1)] {
-            assert_eq!(*whole([&bytes, more].concat()).unwrap().bytes, bytes[..]);
+            assert_eq!(*whole(&[&bytes, more].concat()).unwrap().bytes, bytes[..]);
         }
         for cut in [3, bytes.len() / 2, bytes.len() - 1] {
             assert!(matches!(whole(&bytes[..cut]), Err(Fault::Truncated(_))));

@@ -55,7 +55,7 @@ fn open<'i>(
         Compression::Jpeg => {
             let bytes = all()?;
             let bytes = with_tables(bytes, page.jpeg_tables.as_deref());
-            let jpeg = Jpeg::open(bytes)?;
+            let jpeg = Jpeg::open(bytes, budget)?;
             let [width, height] = jpeg.place.stored;
             if width != size[0] || height < rows {
                 return Err(Fault::Damaged(format!(

@@ -53,7 +53,7 @@ pub(crate) fn choose(input: &Input<'_>, choice: Choice) -> Result<Chosen, Fault>
         }
         (Some(asked), _) => asked,
         (None, None) => pages[0],
-        (None, Some(channel)) => page_of(&images, channel)?.unwrap_or(pages[0]),
+        (None, Some(channel)) => page_of(&images, channel, found.len())?.unwrap_or(pages[0]),
     };
     let of = images
         .iter()
@@ -104,13 +104,13 @@ pub(crate) fn choose(input: &Input<'_>, choice: Choice) -> Result<Chosen, Fault>
 }
 
 /// The page of a channel of the first image that has several; none where channels are no pages.
-fn page_of(images: &[Described], channel: usize) -> Result<Option<usize>, Fault> {
+fn page_of(images: &[Described], channel: usize, pages: usize) -> Result<Option<usize>, Fault> {
     let Some(image) = images.iter().find(|d| d.channels.len() > 1) else {
         return Ok(None);
     };
     match image.pages.get(channel) {
-        Some(Some(page)) => Ok(Some(*page)),
-        Some(None) => Err(Fault::Unsupported(format!(
+        Some(Some(page)) if *page < pages => Ok(Some(*page)),
+        Some(_) => Err(Fault::Unsupported(format!(
             "channel {channel}, which lies in another file,"
         ))),
         None => Err(Fault::NotThere {
