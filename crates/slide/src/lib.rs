@@ -15,6 +15,7 @@
 
 mod budget;
 pub mod cache;
+mod choice;
 mod error;
 mod input;
 mod jpeg;
@@ -30,9 +31,10 @@ mod source;
 mod tiff;
 
 pub use budget::Budget;
+pub use choice::{Choice, Choices};
 pub use error::{Fault, SlideError};
 pub use layout::Alpha;
-pub use picture::{Choice, Choices, Picture, Samples, Wanted, decode};
+pub use picture::{Picture, Samples, Wanted, decode};
 pub use raster::{Gray, Rgb8};
 pub use slide::{LevelInfo, Slide};
 

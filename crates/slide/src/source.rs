@@ -228,10 +228,10 @@ impl<'a> Source<'a> {
         let bytes = GraySink::bytes(place, factor);
         self.check(level, bytes)?;
         let mut sink = GraySink::new(place, factor);
-        let colours = if self.only.is_some() {
-            Colours::Own
-        } else {
-            Colours::Luma
+        // The luma that a JPEG stores differs from that of its colours where these are clipped, which means of blocks do not show.
+        let colours = match self.only.is_none() && factor > 1 {
+            true => Colours::Luma,
+            false => Colours::Own,
         };
         self.decode(level, colours, bytes, &mut sink)?;
         Ok((sink.finish(), factor))

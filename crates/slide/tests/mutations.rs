@@ -7,7 +7,7 @@ use scopeservo_slide::{Alpha, Budget, Choice, Samples, Wanted, decode};
 use std::io::{Cursor, Write};
 
 /// Mutants of each seed.
-const MUTANTS: u32 = 250;
+const MUTANTS: u32 = 500;
 
 fn next(state: &mut u64) -> u64 {
     *state = state
@@ -25,7 +25,10 @@ fn deflate(bytes: &[u8]) -> Vec<u8> {
 fn seeds() -> Vec<Vec<u8>> {
     let data: Vec<u8> = (0..40 * 24 * 12).map(|i: u32| (i * i / 7) as u8).collect();
     let rgb = image::RgbImage::from_raw(40, 24, data[..2880].to_vec()).unwrap();
-    let mut seeds = Vec::new();
+    let mut seeds = vec![
+        include_bytes!("data/progressive.jpg").to_vec(),
+        include_bytes!("data/slope.j2k").to_vec(),
+    ];
     for format in [image::ImageFormat::Png, image::ImageFormat::Jpeg] {
         for image in [
             image::DynamicImage::from(rgb.clone()),

@@ -95,81 +95,102 @@ impl Named for Node<'_, '_> {
     }
 }
 
+fn number(node: Node<'_, '_>, name: &str) -> Option<usize> {
+    node.attribute(name)?.trim().parse().ok()
+}
+
+fn children<'a, 'i>(node: Node<'a, 'i>, name: &'static str) -> Vec<Node<'a, 'i>> {
+    node.children()
+        .filter(|n| n.has_tag_name_of(name))
+        .collect()
+}
+
+/// One image, whose pages come after `before` others.
 fn ome_pixels(pixels: Node<'_, '_>, before: usize) -> Option<Described> {
-    let number = |node: Node<'_, '_>, name: &str| -> Option<usize> {
-        node.attribute(name)?.trim().parse().ok()
-    };
-    let channels: Vec<Node<'_, '_>> = pixels
-        .children()
-        .filter(|n| n.has_tag_name_of("Channel"))
-        .collect();
-    let samples: usize = channels
-        .iter()
-        .map(|c| number(*c, "SamplesPerPixel").unwrap_or(1))
-        .sum();
+    let channels = children(pixels, "Channel");
     let size_c = number(pixels, "SizeC").unwrap_or(1).clamp(1, 10_000);
     let [size_z, size_t] =
         ["SizeZ", "SizeT"].map(|n| number(pixels, n).unwrap_or(1).clamp(1, 1_000_000));
     // A channel of three samples is one page in colour.
-    let count = match channels.is_empty() || samples != size_c {
-        true => size_c,
-        false => channels.len(),
+    let samples = |c: &Node<'_, '_>| number(*c, "SamplesPerPixel").unwrap_or(1);
+    let count = match channels.iter().map(samples).sum::<usize>() == size_c {
+        true => channels.len(),
+        false => size_c,
     };
-    let count = match channels.as_slice() {
-        [one] if number(*one, "SamplesPerPixel") == Some(size_c) => 1,
-        _ => count,
-    };
-    let order = pixels.attribute("DimensionOrder").unwrap_or("XYCZT");
     // How many pages are between a channel and the next.
-    let mut stride = 1;
-    for axis in order.chars() {
-        match axis {
-            'C' => break,
-            'Z' => stride *= size_z,
-            'T' => stride *= size_t,
-            _ => {}
-        }
-    }
-    let planes = count * size_z * size_t;
-    let mut pages: Vec<Option<usize>> = (0..count).map(|c| Some(before + c * stride)).collect();
-    let data: Vec<Node<'_, '_>> = pixels
-        .children()
-        .filter(|n| n.has_tag_name_of("TiffData"))
-        .collect();
-    // Pages may be told one by one.
+    let order = pixels.attribute("DimensionOrder").unwrap_or("XYCZT");
+    let faster = order.chars().take_while(|axis| *axis != 'C');
+    let stride = faster.fold(1, |n, axis| match axis {
+        'Z' => n * size_z,
+        'T' => n * size_t,
+        _ => n,
+    });
+    let (first, pages) = ome_pages(pixels, before, count, stride);
+    let name = |k: usize| {
+        channels
+            .get(k)
+            .and_then(|c| c.attribute("Name"))
+            .unwrap_or_default()
+    };
+    Some(Described {
+        um_per_px: ome_size(pixels).and_then(plausible),
+        channels: (0..count)
+            .map(|k| name(k).chars().take(40).collect())
+            .collect(),
+        pages,
+        span: [first, first.saturating_add(count * size_z * size_t)],
+    })
+}
+
+/// The first page of the image, and that of each of its channels: one after the other, or told one by one.
+fn ome_pages(
+    pixels: Node<'_, '_>,
+    before: usize,
+    count: usize,
+    stride: usize,
+) -> (usize, Vec<Option<usize>>) {
+    let in_order = |first: usize| {
+        (
+            first,
+            (0..count).map(|c| Some(first + c * stride)).collect(),
+        )
+    };
+    let data = children(pixels, "TiffData");
     let told = data
         .iter()
         .any(|d| d.attribute("FirstC").is_some() || d.attribute("IFD").is_some());
-    let alone = data.len() == 1 && number(data[0], "PlaneCount") != Some(1);
-    let mut first = before;
-    if let (true, true) = (told, alone) {
-        first = number(data[0], "IFD").unwrap_or(before);
-        pages = (0..count).map(|c| Some(first + c * stride)).collect();
-    } else if told {
-        pages = vec![None; count];
-        for entry in &data {
-            let [c, z, t] = ["FirstC", "FirstZ", "FirstT"].map(|n| number(*entry, n).unwrap_or(0));
-            let elsewhere = entry
-                .children()
-                .find(|n| n.has_tag_name_of("UUID"))
-                .and_then(|n| n.attribute("FileName"))
-                .is_some_and(|name| {
-                    pixels
-                        .document()
-                        .root_element()
-                        .attribute("UUID")
-                        .is_some_and(|own| {
-                            let here = entry.children().find(|n| n.has_tag_name_of("UUID"));
-                            !name.is_empty()
-                                && here.and_then(|n| n.text()).is_some_and(|u| u.trim() != own)
-                        })
-                });
-            if let (Some(place), 0, 0, false) = (pages.get_mut(c), z, t, elsewhere) {
-                *place = place.or(number(*entry, "IFD").or(Some(0)));
-            }
+    match data.as_slice() {
+        _ if !told => in_order(before),
+        [all] if number(*all, "PlaneCount") != Some(1) => {
+            in_order(number(*all, "IFD").unwrap_or(before))
         }
-        first = pages.iter().flatten().min().copied().unwrap_or(before);
+        each => {
+            let mut pages = vec![None; count];
+            for entry in each {
+                let [c, z, t] =
+                    ["FirstC", "FirstZ", "FirstT"].map(|n| number(*entry, n).unwrap_or(0));
+                if let (Some(place), 0, 0, false) = (pages.get_mut(c), z, t, is_elsewhere(*entry)) {
+                    *place = place.or(number(*entry, "IFD").or(Some(0)));
+                }
+            }
+            (
+                pages.iter().flatten().min().copied().unwrap_or(before),
+                pages,
+            )
+        }
     }
+}
+
+/// Whether a page is in another file.
+fn is_elsewhere(entry: Node<'_, '_>) -> bool {
+    let own = entry.document().root_element().attribute("UUID");
+    let there = children(entry, "UUID").first().and_then(|n| n.text());
+    own.zip(there)
+        .is_some_and(|(own, there)| own != there.trim())
+}
+
+/// Pixel size across and down, um.
+fn ome_size(pixels: Node<'_, '_>) -> Option<[f64; 2]> {
     let side = |axis: &str| {
         let value: f64 = pixels
             .attribute(format!("PhysicalSize{axis}").as_str())?
@@ -181,25 +202,10 @@ fn ome_pixels(pixels: Node<'_, '_>, before: usize) -> Option<Described> {
             .unwrap_or("\u{b5}m");
         Some(value * um_of(unit)?)
     };
-    let um = match (side("X"), side("Y")) {
+    match (side("X"), side("Y")) {
         (Some(x), Some(y)) => Some([x, y]),
-        (Some(one), None) | (None, Some(one)) => Some([one, one]),
-        (None, None) => None,
-    };
-    let name = |k: usize| {
-        channels
-            .get(k)
-            .and_then(|c| c.attribute("Name"))
-            .unwrap_or_default()
-    };
-    Some(Described {
-        um_per_px: um.and_then(plausible),
-        channels: (0..count)
-            .map(|k| name(k).chars().take(40).collect())
-            .collect(),
-        pages,
-        span: [first, first.saturating_add(planes)],
-    })
+        (one, other) => one.or(other).map(|um| [um, um]),
+    }
 }
 
 /// Micrometres of a unit of OME.

@@ -296,50 +296,13 @@ fn layout(
     let number =
         |tag: u16, without: u64| Ok::<_, Fault>(directory.number(input, tag)?.unwrap_or(without));
     let samples = number(tag::SAMPLES, 1)?.clamp(1, 4096) as usize;
-    let all_bits = directory
-        .numbers(input, tag::BITS)?
-        .unwrap_or_else(|| vec![1]);
-    let bits = all_bits.first().copied().unwrap_or(1);
-    if all_bits.iter().any(|b| *b != bits) {
-        return Err(Fault::Unsupported(
-            "a TIFF whose samples have different bits".into(),
-        ));
+    let (bits, kind) = sample(input, directory)?;
+    if compression == Compression::Jpeg && (bits != 8 || kind != Kind::Unsigned) {
+        return Err(Fault::Unsupported(format!(
+            "a TIFF of JPEG with {bits} bits"
+        )));
     }
-    let bits = u16::try_from(bits).unwrap_or(0);
-    let kind = match number(tag::SAMPLE_FORMAT, 1)? {
-        1 | 4 => Kind::Unsigned,
-        2 => Kind::Signed,
-        3 => Kind::Float,
-        _ => return Err(Fault::Unsupported("a TIFF of complex numbers".into())),
-    };
-    let fax = matches!(compression, Compression::Fax3 | Compression::Fax4);
-    let as_colour = matches!(compression, Compression::Jpeg | Compression::Jpeg2000);
-    let photometric = number(tag::PHOTOMETRIC, if fax { 0 } else { 1 })?;
-    let colour = match photometric {
-        0 => Colour::GrayInverted,
-        1 | 4 => Colour::Gray,
-        2 => Colour::Rgb,
-        3 => Colour::Palette(palette(input, directory, bits)?),
-        5 => Colour::Cmyk,
-        6 if compression == Compression::Jpeg2000 && number(tag::COMPRESSION, 1)? == 33003 => {
-            Colour::YCbCr
-        }
-        // The decoder makes RGB of it.
-        6 if as_colour => Colour::Rgb,
-        6 => match directory.numbers(input, tag::SUBSAMPLING)?.as_deref() {
-            Some([1, 1, ..]) => Colour::YCbCr,
-            _ => {
-                return Err(Fault::Unsupported(
-                    "a TIFF of subsampled YCbCr without JPEG".into(),
-                ));
-            }
-        },
-        other => {
-            return Err(Fault::Unsupported(format!(
-                "a TIFF of photometric kind {other}"
-            )));
-        }
-    };
+    let colour = colour(input, directory, compression, bits)?;
     let of_colour = colour.samples();
     if samples < of_colour {
         return Err(Fault::Damaged(format!(
@@ -366,7 +329,6 @@ fn layout(
             available: samples,
         });
     }
-    let only = channel.filter(|_| samples > 1).or((bands > 1).then_some(0));
     let layout = Layout {
         bits,
         kind,
@@ -374,19 +336,68 @@ fn layout(
         colour,
         opacity,
         alpha,
-        // What comes out of these decoders has the order of this machine.
         big_endian: directory.form.big_endian,
         clear: None,
-        only,
+        only: channel.filter(|_| samples > 1).or((bands > 1).then_some(0)),
         range: [0.0, 1.0],
     };
-    if as_colour && (layout.bits != 8 || kind != Kind::Unsigned) && compression == Compression::Jpeg
-    {
-        return Err(Fault::Unsupported(format!(
-            "a TIFF of JPEG with {bits} bits"
-        )));
-    }
     Ok((layout, bands))
+}
+
+/// Bits of a sample, which are the same for all, and how it is written.
+fn sample(input: &Input<'_>, directory: &Directory) -> Result<(u16, Kind), Fault> {
+    let all_bits = directory
+        .numbers(input, tag::BITS)?
+        .unwrap_or_else(|| vec![1]);
+    let bits = all_bits.first().copied().unwrap_or(1);
+    if all_bits.iter().any(|b| *b != bits) {
+        return Err(Fault::Unsupported(
+            "a TIFF whose samples have different bits".into(),
+        ));
+    }
+    let kind = match directory.number(input, tag::SAMPLE_FORMAT)?.unwrap_or(1) {
+        1 | 4 => Kind::Unsigned,
+        2 => Kind::Signed,
+        3 => Kind::Float,
+        _ => return Err(Fault::Unsupported("a TIFF of complex numbers".into())),
+    };
+    Ok((u16::try_from(bits).unwrap_or(0), kind))
+}
+
+fn colour(
+    input: &Input<'_>,
+    directory: &Directory,
+    compression: Compression,
+    bits: u16,
+) -> Result<Colour, Fault> {
+    let number =
+        |tag: u16, without: u64| Ok::<_, Fault>(directory.number(input, tag)?.unwrap_or(without));
+    let fax = matches!(compression, Compression::Fax3 | Compression::Fax4);
+    Ok(match number(tag::PHOTOMETRIC, if fax { 0 } else { 1 })? {
+        0 => Colour::GrayInverted,
+        1 | 4 => Colour::Gray,
+        2 => Colour::Rgb,
+        3 => Colour::Palette(palette(input, directory, bits)?),
+        5 => Colour::Cmyk,
+        // The codes of Aperio's 33003 do not say that they are YCbCr; other decoders make RGB of it.
+        6 => match compression {
+            Compression::Jpeg2000 if number(tag::COMPRESSION, 1)? == 33003 => Colour::YCbCr,
+            Compression::Jpeg | Compression::Jpeg2000 => Colour::Rgb,
+            _ => match directory.numbers(input, tag::SUBSAMPLING)?.as_deref() {
+                Some([1, 1, ..]) => Colour::YCbCr,
+                _ => {
+                    return Err(Fault::Unsupported(
+                        "a TIFF of subsampled YCbCr without JPEG".into(),
+                    ));
+                }
+            },
+        },
+        other => {
+            return Err(Fault::Unsupported(format!(
+                "a TIFF of photometric kind {other}"
+            )));
+        }
+    })
 }
 
 /// The colours of a palette, in 8 bits.

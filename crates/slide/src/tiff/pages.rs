@@ -69,22 +69,7 @@ pub(crate) fn choose(input: &Input<'_>, choice: Choice) -> Result<Chosen, Fault>
     let um_per_px = of
         .and_then(|d| d.um_per_px)
         .or_else(|| described::um_per_px(input, &chosen.directory, &text));
-    let mut levels = vec![chosen.directory.clone()];
-    let mut reduced: Vec<(Directory, [u32; 2])> = Vec::new();
-    for child in chosen.directory.children(input) {
-        let size = child.size(input)?;
-        reduced.push((child, size));
-    }
-    if reduced.is_empty() {
-        let levels = levels_below(&sizes, page).into_iter();
-        reduced = levels
-            .map(|k| (found[k].directory.clone(), found[k].size))
-            .collect();
-    }
-    reduced.retain(|(_, size)| is_reduced(chosen.size, *size));
-    reduced.sort_by_key(|(_, [w, h])| std::cmp::Reverse(u64::from(*w) * u64::from(*h)));
-    reduced.dedup_by_key(|(_, size)| *size);
-    levels.extend(reduced.into_iter().map(|(directory, _)| directory));
+    let levels = levels_of(input, &found, &sizes, page)?;
     let channels = match (images.len(), of.or(images.first())) {
         (1.., Some(d)) if d.channels.len() > 1 => d.channels.clone(),
         _ => Vec::new(),
@@ -101,6 +86,34 @@ pub(crate) fn choose(input: &Input<'_>, choice: Choice) -> Result<Chosen, Fault>
             channels,
         },
     })
+}
+
+/// The directory of a page, and those of its reduced images, finest first: what hangs on it, or else follows it.
+fn levels_of(
+    input: &Input<'_>,
+    found: &[Found],
+    sizes: &[Seen],
+    page: usize,
+) -> Result<Vec<Directory>, Fault> {
+    let mut reduced: Vec<(Directory, [u32; 2])> = Vec::new();
+    for child in found[page].directory.children(input) {
+        let size = child.size(input)?;
+        reduced.push((child, size));
+    }
+    if reduced.is_empty() {
+        let below = levels_below(sizes, page).into_iter();
+        reduced = below
+            .map(|k| (found[k].directory.clone(), found[k].size))
+            .collect();
+    }
+    reduced.retain(|(_, size)| is_reduced(found[page].size, *size));
+    reduced.sort_by_key(|(_, size)| std::cmp::Reverse(area(*size)));
+    reduced.dedup_by_key(|(_, size)| *size);
+    let reduced = reduced.into_iter().map(|(directory, _)| directory);
+    Ok([found[page].directory.clone()]
+        .into_iter()
+        .chain(reduced)
+        .collect())
 }
 
 /// The page of a channel of the first image that has several; none where channels are no pages.
