@@ -139,7 +139,8 @@ pub(crate) fn read_secret(path: &Path) -> Result<Secret, CliError> {
         path: path.into(),
         what,
     };
-    let bytes = std::fs::read(path).map_err(|e| bad(e.to_string()))?;
+    let bytes = scopeservo_files::read(path, scopeservo_files::MAX_CONFIG_BYTES)
+        .map_err(|e| bad(e.to_string()))?;
     Secret::new(&bytes)
         .ok_or_else(|| bad(format!("a secret has {} bytes or more", Secret::MIN_BYTES)))
 }

@@ -20,6 +20,7 @@ mod doctor;
 mod driver_check;
 mod error;
 mod hands;
+mod images;
 mod init;
 mod interview;
 mod journal;

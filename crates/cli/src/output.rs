@@ -210,7 +210,12 @@ pub(crate) struct RegisterJson {
     pub(crate) log10_false_alarms: Option<f64>,
     /// Factor by which view and target were reduced before looking; coordinates are full-resolution all the same.
     pub(crate) reduced: [usize; 2],
-    pub(crate) level: usize,
+    /// Levels of view and target that were looked at.
+    pub(crate) level: [usize; 2],
+    /// Pixel sizes of these levels, um, where the files state them.
+    pub(crate) um_per_px: [Option<f64>; 2],
+    /// What there was to choose from in view and target, where there was: pages and channels.
+    pub(crate) choices: [Option<String>; 2],
     /// With `--time`: median milliseconds of the view's features, match and fit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) ms: Option<f64>,

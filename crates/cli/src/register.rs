@@ -4,22 +4,21 @@ use crate::answer::Answer;
 use crate::args::RegisterArgs;
 use crate::colour::{self, Hope};
 use crate::error::CliError;
+use crate::images::{load_both, reduced_from_full};
 use crate::output::RegisterJson;
 use crate::threads::with_threads;
-use scopeservo_features::{Engine, FeatureError, GrayImage};
+use scopeservo_features::{Engine, FeatureError, Features};
 use scopeservo_geometry::{Affine2, Mat2};
 use scopeservo_registration::{
     Allow, Estimate, NotFound, Options, PictureVerdict, Prior, Rival, register, register_pictures,
 };
-use scopeservo_slide::Slide;
 use serde_json::json;
-use std::path::Path;
 use std::time::Instant;
 
-/// Above this many pixels an image is reduced before looking.
-const MAX_PIXELS: usize = 4_000_000;
-/// Smaller images cannot hold features.
-const LEAST_SIDE: usize = 16;
+/// Of fewer features nobody can say how fine they are.
+const ENOUGH_TO_JUDGE: usize = 8;
+/// How many times wider the finest details of a blurred image are, at least.
+const MUCH_SOFTER: f32 = 2.5;
 /// Repetitions beyond this tell nothing more.
 const MAX_REPETITIONS: usize = 10_000;
 
@@ -41,30 +40,30 @@ pub(crate) fn run(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError
 }
 
 fn look(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError> {
-    let (view, view_factor) = load(&args.view, args)?;
-    let (target, target_factor) = load(&args.target, args)?;
+    let [loaded_view, loaded_target] = load_both(args)?;
+    let (view, target) = (&loaded_view.image, &loaded_target.image);
     let (engine, most) = (Engine::default(), args.features);
-    let target_features = engine.features(&target, most)?;
+    let target_features = engine.features(target, most)?;
     let (prior, options) = (Prior::default(), Options::default());
     // First the times, which warm the caches for nobody else.
     let once = |_| {
         let start = Instant::now();
-        let features = engine.features(&view, most)?;
+        let features = engine.features(view, most)?;
         register(&*engine, &features, &target_features, &prior, &options);
         Ok(start.elapsed().as_secs_f64() * 1e3)
     };
     let times = args.time.map(|n| (0..n).map(once).collect());
     let times: Option<Vec<f64>> = times.transpose().map_err(|e: FeatureError| e)?;
     let ms = times.map(|times| median(times.into_iter()));
-    let features = engine.features(&view, most)?;
+    let features = engine.features(view, most)?;
     let allow = Allow {
         same_place: args.same_place,
         mirror: args.mirror,
     };
     let (seen, verdict) = register_pictures(
         (&*engine, most),
-        (&view, &features),
-        (&target, &target_features),
+        (view, &features),
+        (target, &target_features),
         &prior,
         &options,
         allow,
@@ -85,17 +84,24 @@ fn look(args: &RegisterArgs, answer: &Answer) -> Result<bool, CliError> {
         matches: seen.matches,
         keypoints: [features.len(), target_features.len()],
         log10_false_alarms: seen.log10_nfa,
-        reduced: [view_factor, target_factor],
-        level: args.level,
+        reduced: [loaded_view.factor, loaded_target.factor],
+        level: [loaded_view.level, loaded_target.level],
+        um_per_px: [loaded_view.um_per_px, loaded_target.um_per_px],
+        choices: [loaded_view.choices, loaded_target.choices],
         ms,
         engine: info.name,
         cpu_level: info.cpu_level,
     };
     let full = Full {
-        view_factor,
-        target_factor,
+        view_factor: loaded_view.factor,
+        target_factor: loaded_target.factor,
     };
     tell(&mut json, &verdict, seen.inliers, &full)?;
+    if let (PictureVerdict::NotFound(_), Some(why)) =
+        (&verdict, blurred([&features, &target_features]))
+    {
+        json.message = format!("{}. {why}", json.message);
+    }
     let found = json.verdict == "found";
     answer.put(json!(json));
     show(answer, &json);
@@ -225,6 +231,18 @@ fn show(answer: &Answer, json: &RegisterJson) {
             );
         }
     }
+    for (k, name) in ["view", "target"].into_iter().enumerate() {
+        if let Some(choices) = &json.choices[k] {
+            say!(answer, "{name} has {choices} (--page, --channel)");
+        }
+        if let Some(um) = json.um_per_px[k] {
+            say!(
+                answer,
+                "{name}: {um:.4} um per pixel at level {}",
+                json.level[k]
+            );
+        }
+    }
     let hope = match json.verdict {
         "found" => Hope::Held,
         "not_found" => Hope::Failed,
@@ -265,6 +283,7 @@ fn code(reason: &NotFound) -> &'static str {
         NotFound::NoAgreement { .. } => "no_agreement",
         NotFound::ByChance { .. } => "by_chance",
         NotFound::PixelsDisagree { .. } => "pixels_disagree",
+        NotFound::Mirrored { .. } => "mirrored",
         NotFound::Uncertain { .. } => "uncertain",
     }
 }
@@ -277,52 +296,25 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0
 }
 
-/// One image, and the factor by which it was reduced.
-fn load(path: &Path, args: &RegisterArgs) -> Result<(GrayImage, usize), CliError> {
-    let gray = Slide::open(path)?.read_gray(args.level)?;
-    if gray.width < LEAST_SIDE || gray.height < LEAST_SIDE {
-        return Err(CliError::TooSmall {
-            path: path.into(),
-            width: gray.width,
-            height: gray.height,
-            least: LEAST_SIDE,
-        });
-    }
-    let factor = (1..)
-        .find(|f| (gray.width / f) * (gray.height / f) <= MAX_PIXELS)
-        .unwrap_or(1);
-    let image = reduce(gray.width, gray.height, gray.data, factor)?;
-    Ok((image, factor))
-}
-
-/// Means of `factor` x `factor` blocks; what does not fill a block at the right and lower border is left out.
-fn reduce(
-    width: usize,
-    height: usize,
-    data: Vec<f32>,
-    factor: usize,
-) -> Result<GrayImage, FeatureError> {
-    if factor == 1 {
-        return Ok(GrayImage::new(width, height, data)?);
-    }
-    let share = 1.0 / (factor * factor) as f32;
-    let mean = |x: usize, y: usize| {
-        let rows = (0..factor).map(|j| (y * factor + j) * width + x * factor);
-        rows.map(|at| data[at..at + factor].iter().sum::<f32>())
-            .sum::<f32>()
-            * share
+/// Where the finest details of one image are much wider than those of the other, px: that is a reason not to find it.
+fn blurred([view, target]: [&Features; 2]) -> Option<String> {
+    let finest = |features: &Features| {
+        let mut sigmas: Vec<f32> = features.keypoints.iter().map(|k| k.sigma).collect();
+        let rank = sigmas.len() / 10;
+        (sigmas.len() >= ENOUGH_TO_JUDGE)
+            .then(|| 2.0 * *sigmas.select_nth_unstable_by(rank, f32::total_cmp).1)
     };
-    Ok(GrayImage::from_fn(width / factor, height / factor, mean)?)
-}
-
-/// A block's centre is `factor * x + (factor - 1) / 2` in full-resolution pixels.
-fn reduced_from_full(factor: usize) -> Affine2 {
-    let f = factor as f64;
-    let offset = -(f - 1.0) / (2.0 * f);
-    Affine2 {
-        linear: Mat2::diagonal(1.0 / f, 1.0 / f),
-        offset: [offset, offset],
-    }
+    let (v, t) = (finest(view)?, finest(target)?);
+    let (name, soft, other, sharp) = match v > t {
+        true => ("view", v, "target", t),
+        false => ("target", t, "view", v),
+    };
+    (soft > MUCH_SOFTER * sharp).then(|| {
+        format!(
+            "The {name} is blurred beside the {other}: its finest details are {soft:.0} px across, those of the {other} {sharp:.0} px. Focus it, or \
+             give the {other} from the same focus"
+        )
+    })
 }
 
 #[cfg(test)]
@@ -330,24 +322,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_block_is_found_again_at_its_centre() {
-        let full = reduced_from_full(3).inverse().unwrap();
-        assert!((full.apply([0.0, 0.0])[0] - 1.0).abs() < 1e-12);
-        assert!((full.apply([2.0, 5.0])[1] - 16.0).abs() < 1e-12);
-    }
-
-    #[test]
     fn the_median_lies_in_the_middle() {
         assert_eq!(median([3.0, 1.0, 9.0].into_iter()), 3.0);
         assert_eq!(median([3.0, 1.0, 9.0, 5.0].into_iter()), 4.0);
         assert_eq!(median([2.0].into_iter()), 2.0);
-    }
-
-    #[test]
-    fn reduction_takes_means() {
-        let data = (0..7 * 4).map(|i| (i % 7) as f32).collect();
-        let image = reduce(7, 4, data, 2).unwrap();
-        assert_eq!((image.width(), image.height()), (3, 2));
-        assert_eq!(image.get(1, 1), 2.5);
     }
 }

@@ -36,6 +36,6 @@ pub use features::Features;
 pub use handle::Engine;
 pub use mask::Mask;
 pub use scopeservo_sift::{
-    Gate, GrayImage, Keypoint, Match, MatchOptions, SiftError as ImageError,
+    Gate, GrayImage, Keypoint, Match, MatchOptions, SiftError as ImageError, noise_sigma,
 };
 pub use sift_engine::SiftEngine;

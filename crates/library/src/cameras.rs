@@ -6,10 +6,13 @@ use crate::folder::{self, Folder};
 use crate::names::file_name;
 use image::ExtendedColorType;
 use scopeservo_scope::FlatField;
+use scopeservo_slide::{Samples, Wanted};
 use std::path::PathBuf;
 
 /// The level of a pixel on which nothing lies.
 const CLEAR: f32 = 16384.0;
+/// No such image is larger, bytes.
+const LARGEST: u64 = 1 << 28;
 
 /// The shadows on an instrument's cameras.
 pub trait Cameras {
@@ -44,7 +47,7 @@ impl Cameras for Folder {
         size_px: [usize; 2],
     ) -> Result<Option<FlatField>, LibraryError> {
         let path = self.shadows_of(instrument, size_px);
-        let bytes = match std::fs::read(&path) {
+        let bytes = match scopeservo_files::read(&path, LARGEST) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             bytes => bytes.map_err(LibraryError::read(&path))?,
         };
@@ -67,13 +70,12 @@ impl Cameras for Folder {
 
 /// Shadows from their image; else what is wrong with it.
 pub(crate) fn from_png(bytes: &[u8]) -> Result<FlatField, String> {
-    let picture = image::load_from_memory_with_format(bytes, image::ImageFormat::Png)
-        .map_err(|e| e.to_string())?
-        .into_luma16();
-    let [width, height] = [picture.width(), picture.height()].map(|v| v as usize);
-    let levels = picture.into_raw().into_iter();
-    let transmission = levels.map(|v| f32::from(v) / CLEAR).collect();
-    FlatField::new(width, height, transmission).map_err(|e| e.to_string())
+    let picture = scopeservo_slide::decode(bytes, &Wanted::default()).map_err(|e| e.to_string())?;
+    let (1, Samples::U16(levels)) = (picture.channels, picture.samples) else {
+        return Err("it is no grey image of 16 bits".into());
+    };
+    let transmission = levels.into_iter().map(|v| f32::from(v) / CLEAR).collect();
+    FlatField::new(picture.width, picture.height, transmission).map_err(|e| e.to_string())
 }
 
 pub(crate) fn to_png(seen: &FlatField) -> Result<Vec<u8>, LibraryError> {

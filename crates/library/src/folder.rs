@@ -60,6 +60,9 @@ pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, LibraryError> {
     Ok(all)
 }
 
+/// No file of JSON is larger, bytes.
+const LARGEST_JSON: u64 = 256 << 20;
+
 pub(crate) fn read<T: DeserializeOwned>(path: &Path) -> Result<T, LibraryError> {
     let bad = |what: String| LibraryError::Read {
         path: path.into(),
@@ -69,7 +72,7 @@ pub(crate) fn read<T: DeserializeOwned>(path: &Path) -> Result<T, LibraryError> 
         path: path.into(),
         what: format!("{e}. Move it away, or make it again"),
     };
-    let text = fs::read(path).map_err(|e| bad(e.to_string()))?;
+    let text = scopeservo_files::read(path, LARGEST_JSON).map_err(|e| bad(e.to_string()))?;
     let value: serde_json::Value = serde_json::from_slice(&text).map_err(damaged)?;
     match value.get("schema") {
         Some(schema) if schema != SCHEMA => Err(bad(format!(

@@ -19,6 +19,8 @@ use std::path::{Path, PathBuf};
 const LONG: usize = 512;
 const BLOB: &str = "$blob";
 /// Where the stage was sent since the last step, a line each.
+/// No file of a journal is larger, bytes.
+const LARGEST: u64 = 256 << 20;
 const GOALS: &str = "goals.jsonl";
 
 /// The job under way.
@@ -187,7 +189,7 @@ impl Journal for Folder {
             let state = with_long(what.state, &folder)?;
             step = Some(JournalStep { state, ..what });
         }
-        let goals = match fs::read_to_string(folder.join(GOALS)) {
+        let goals = match scopeservo_files::read_text(&folder.join(GOALS), LARGEST) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
             text => text.map_err(LibraryError::read(&folder))?,
         };
@@ -236,7 +238,8 @@ fn with_long(value: Value, folder: &Path) -> Result<Value, LibraryError> {
                         "its state names no file of its own",
                     ));
                 }
-                let text = fs::read_to_string(&file).map_err(LibraryError::read(&file))?;
+                let text = scopeservo_files::read_text(&file, LARGEST)
+                    .map_err(LibraryError::read(&file))?;
                 if name != format!("{}.txt", checksum(text.as_bytes())) {
                     return Err(LibraryError::damaged(&file, "its checksum is another"));
                 }

@@ -12,12 +12,13 @@
 use crate::files::checksum;
 use crate::folder::to_png;
 use crate::{LibraryError, cameras};
-use image::{DynamicImage, ExtendedColorType};
+use image::ExtendedColorType;
 use scopeservo_features::{Features, Mask};
 use scopeservo_scope::{
     Channels, FlatField, Frame, Kinematics, ObjectiveId, Samples, StagePose, Timestamp,
 };
 use scopeservo_servo::{Calibration, Picture, Taken, Target, TargetQuality};
+use scopeservo_slide::{Samples as Stored, Wanted};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::Read as _;
@@ -195,8 +196,11 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<KeptTarget, String> {
 
 /// The mask over an image of this size.
 fn mask(png: &[u8], [width, height]: [usize; 2], cell: usize) -> Option<Mask> {
-    let image = image::load_from_memory_with_format(png, image::ImageFormat::Png);
-    Mask::from_cells(width, height, cell, image.ok()?.to_luma8().as_raw())
+    let image = scopeservo_slide::decode(png, &Wanted::default()).ok()?;
+    match (image.channels, &image.samples) {
+        (1, Stored::U8(cells)) => Mask::from_cells(width, height, cell, cells),
+        _ => None,
+    }
 }
 
 fn members(bytes: &[u8]) -> Result<BTreeMap<String, Vec<u8>>, String> {
@@ -243,33 +247,24 @@ fn taken(
     if !(1..=16).contains(&how.bit_depth) || how.um_per_px.is_nan() || how.um_per_px <= 0.0 {
         return Err("its numbers are those of no image".into());
     }
-    let image = image::load_from_memory_with_format(png, image::ImageFormat::Png);
+    let image = scopeservo_slide::decode(png, &Wanted::default()).map_err(|e| e.to_string())?;
     let shift = 16 - u32::from(how.bit_depth);
     let low = |samples: Vec<u16>| Samples::U16(samples.into_iter().map(|v| v >> shift).collect());
-    let (width, height, channels, samples) = match image.map_err(|e| e.to_string())? {
-        DynamicImage::ImageLuma8(i) => (
-            i.width(),
-            i.height(),
-            Channels::Gray,
-            Samples::U8(i.into_raw()),
-        ),
-        DynamicImage::ImageRgb8(i) => (
-            i.width(),
-            i.height(),
-            Channels::Rgb,
-            Samples::U8(i.into_raw()),
-        ),
-        DynamicImage::ImageLuma16(i) => (i.width(), i.height(), Channels::Gray, low(i.into_raw())),
-        DynamicImage::ImageRgb16(i) => (i.width(), i.height(), Channels::Rgb, low(i.into_raw())),
-        _ => return Err("its image is of another kind".into()),
+    let channels = match image.channels {
+        1 => Channels::Gray,
+        _ => Channels::Rgb,
+    };
+    let samples = match image.samples {
+        Stored::U8(samples) => Samples::U8(samples),
+        Stored::U16(samples) => low(samples),
     };
     if matches!(samples, Samples::U8(_)) != (how.bit_depth <= 8) {
         return Err("its image has another depth".into());
     }
     Ok(Taken {
         frame: Arc::new(Frame {
-            width: width as usize,
-            height: height as usize,
+            width: image.width,
+            height: image.height,
             channels,
             bit_depth: how.bit_depth,
             samples,

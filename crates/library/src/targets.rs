@@ -8,6 +8,7 @@ use crate::{KeptTarget, LibraryError, target_file};
 use image::ExtendedColorType;
 use scopeservo_scope::{Channels, Frame, Samples, StagePose, Timestamp};
 use scopeservo_servo::Target;
+use scopeservo_slide::Slide;
 use serde::Deserialize;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -185,13 +186,17 @@ impl Targets for Folder {
     fn target_picture(&self, name: &str) -> Option<Frame> {
         self.target_file(name).ok()?;
         let path = self.targets().join(format!("{name}.png"));
-        let picture = image::open(path).ok()?.to_rgb8();
+        let slide = Slide::open(&path).ok()?;
+        let size = slide.levels()[0];
+        let picture = slide
+            .read_rgb8(0, 0, 0, size.width, size.height, [255; 3])
+            .ok()?;
         Some(Frame {
-            width: picture.width() as usize,
-            height: picture.height() as usize,
+            width: picture.width as usize,
+            height: picture.height as usize,
             channels: Channels::Rgb,
             bit_depth: 8,
-            samples: Samples::U8(picture.into_raw()),
+            samples: Samples::U8(picture.data),
             sequence: 0,
             exposure_start: Timestamp::default(),
             exposure: Duration::ZERO,
@@ -304,6 +309,9 @@ impl Targets for Folder {
     }
 }
 
+/// No target's file is larger, bytes.
+const LARGEST_TARGET: u64 = 1 << 30;
+
 /// A target's file, of this version or the one before.
 fn read_target(path: &Path) -> Result<KeptTarget, LibraryError> {
     if !path.exists() && is_there(path) {
@@ -317,7 +325,8 @@ fn read_target(path: &Path) -> Result<KeptTarget, LibraryError> {
         });
     }
     if !is_json(path) {
-        let bytes = fs::read(path).map_err(LibraryError::read(path))?;
+        let bytes =
+            scopeservo_files::read(path, LARGEST_TARGET).map_err(LibraryError::read(path))?;
         return target_file::decode(&bytes).map_err(|what| LibraryError::damaged(path, what));
     }
     let First {

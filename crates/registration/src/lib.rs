@@ -41,7 +41,7 @@ pub use grid::{Grid, NoGrid, Term, find_grid, follow_grid};
 pub use options::{Method, Options};
 pub use outcome::{Estimate, NotFound, Registration};
 pub use period::periods;
-pub use pictures::{Allow, PictureVerdict, register_pictures};
+pub use pictures::{Allow, PictureVerdict, flipped, register_pictures};
 pub use prior::{Prior, RotationPrior, ScalePrior, Shapes};
 pub use register::{register, register_correspondences};
 pub use rival::{Rival, find_rivals, shifted};

@@ -63,6 +63,14 @@ pub enum NotFound {
         /// Those that lie where they should.
         agree: usize,
     },
+    /// It is there, as a mirror image only.
+    #[error(
+        "it is there as a mirror image only, with {inliers} places that agree: the slide lies upside down, or the camera's image is mirrored otherwise than when the view was saved"
+    )]
+    Mirrored {
+        /// Agreeing unique places of the mirror image.
+        inliers: usize,
+    },
     /// The matches agree, but leave the transform open.
     #[error("the agreeing matches leave a view corner uncertain by {corner_sigma_px:.1} target px")]
     Uncertain {

@@ -242,7 +242,11 @@ fn places_stay(answer: &Registration, sensor: &Affine2) -> bool {
 }
 
 /// Columns in the other order.
-fn flipped(image: &GrayImage) -> Result<GrayImage, FeatureError> {
+/// An image turned over from left to right.
+///
+/// # Errors
+/// [`FeatureError`] when there is no memory for it.
+pub fn flipped(image: &GrayImage) -> Result<GrayImage, FeatureError> {
     let rows = image.data().chunks_exact(image.width());
     let data = rows.flat_map(|row| row.iter().rev().copied()).collect();
     Ok(GrayImage::new(image.width(), image.height(), data)?)

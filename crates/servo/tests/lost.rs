@@ -3,6 +3,7 @@
 mod common;
 
 use common::{Listener, PLACE_UM, bench, one_objective};
+use scopeservo_registration::{NotFound, flipped};
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Event, NoSink, Servo, ServoEnd, ServoOptions, ServoTask,
     VisionOptions, run,
@@ -43,6 +44,40 @@ fn turned_between_two_frames(from_deg: f64, to_deg: f64) -> (usize, ServoEnd, (f
     };
     let end = run(&mut Servo::default().on(&task), &bench.scope, &mut sink).unwrap();
     (lost, end, bench.error_from(&truth))
+}
+
+#[test]
+fn a_target_that_is_there_as_a_mirror_image_only_is_told_so() {
+    let bench = bench(one_objective());
+    let (vision, options) = (VisionOptions::default(), ServoOptions::default());
+    let (mut target, _) = bench.save();
+    let objective = bench.scope.gate().objectives()[0].clone();
+    let mut calibrate = Calibrate::new(objective, CalibrateOptions::default(), vision.clone());
+    let calibration = run(&mut calibrate, &bench.scope, &mut NoSink).unwrap();
+    let image = flipped(&target.taken.as_ref().unwrap().gray().unwrap()).unwrap();
+    target.features = vision
+        .engine
+        .features(&image, vision.target_features)
+        .unwrap();
+    for [x, y] in [[0.0, 0.0], [20.0, -10.0], [-15.0, 12.0]] {
+        bench
+            .twin
+            .centre_specimen([PLACE_UM[0] + x, PLACE_UM[1] + y], 0.0);
+        let task = ServoTask {
+            target: &target,
+            view_calibration: &calibration,
+            target_calibration: &calibration,
+            vision: &vision,
+            options: &options,
+            law: None,
+            hand_overs: &[],
+            localizer: None,
+        };
+        let end = run(&mut Servo::default().on(&task), &bench.scope, &mut NoSink).unwrap();
+        let mirrored =
+            matches!(end, ServoEnd::Lost(NotFound::Mirrored { inliers }) if inliers > 20);
+        assert!(mirrored, "{end:?}");
+    }
 }
 
 #[test]

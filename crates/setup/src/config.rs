@@ -10,7 +10,6 @@ use scopeservo_drivers::factory::{Described, FACTORIES, Factory};
 use scopeservo_scope::{Immersion, Workspace};
 use serde::Deserialize;
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -210,7 +209,8 @@ impl Config {
     /// # Errors
     /// [`SetupError::Read`], [`SetupError::Parse`] with line and column, [`SetupError::Invalid`].
     pub fn read(path: &Path) -> Result<Self, SetupError> {
-        let text = fs::read_to_string(path).map_err(|source| SetupError::Read {
+        let read = scopeservo_files::read_text(path, scopeservo_files::MAX_CONFIG_BYTES);
+        let text = read.map_err(|source| SetupError::Read {
             path: path.into(),
             source,
         })?;

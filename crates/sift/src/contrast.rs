@@ -9,8 +9,15 @@ use crate::{GrayImage, Options};
 /// Extrema must exceed the standard deviation of the noise in their DoG layer by this factor.
 const NOISE_FACTOR: f32 = 3.0;
 
-/// The spread is at least the full range divided by this: a few bright spots on black have no 1-99 % range.
-const FULL_RANGE_DIVISOR: f32 = 16.0;
+/// Where the 1-99 % range is no more than so many standard deviations of the noise (white noise alone gives 4.7), the image is flat but for a
+/// few places,
+const FLAT: f32 = 6.0;
+
+/// and its spread is at least the full range divided by this: a few bright spots on black.
+const FLAT_DIVISOR: f32 = 16.0;
+
+/// Else the spots may be beads or a scale bar beside tissue, which has its own range; what they leave around themselves has less.
+const RANGE_DIVISOR: f32 = 64.0;
 
 /// Rounding in the blurs reaches about 2e-7 of the values; the threshold stays well above it.
 const ROUNDING: f32 = 4e-6;
@@ -32,10 +39,16 @@ impl Contrast {
     pub(crate) fn of(image: &GrayImage, options: &Options) -> Option<Self> {
         let data = image.data();
         let measured = || {
-            let ((spread, range), noise) = rayon::join(
+            let ((percentiles, range), noise) = rayon::join(
                 || (percentile_range(data), range(data)),
                 || noise_sigma(image),
             );
+            // One extreme pixel, dead or hot, must not set the threshold for all others, nor a scale bar.
+            let divisor = match percentiles > FLAT * noise {
+                true => RANGE_DIVISOR,
+                false => FLAT_DIVISOR,
+            };
+            let spread = percentiles.max(supported_range(image) / divisor);
             (range, Some((spread, noise)))
         };
         let ((low, high), adapted) = if options.adapt_contrast {
@@ -48,7 +61,7 @@ impl Contrast {
             return None;
         }
         let (spread, noise) = match adapted {
-            Some((spread, noise)) => (spread.max((high - low) / FULL_RANGE_DIVISOR), noise),
+            Some(adapted) => adapted,
             None => (1.0, 0.0),
         };
         let threshold = options.contrast_threshold / options.intervals as f32;
@@ -91,6 +104,26 @@ fn range(data: &[f32]) -> (f32, f32) {
     )
 }
 
+/// The range of what at least two by two pixels reach: a single one reaches nothing.
+fn supported_range(image: &GrayImage) -> f32 {
+    let (w, data) = (image.width(), image.data());
+    if w < 2 || image.height() < 2 {
+        return 0.0;
+    }
+    let (mut low, mut high) = (f32::MAX, f32::MIN);
+    for (above, below) in data.chunks_exact(w).zip(data.chunks_exact(w).skip(1)) {
+        for (a, b) in above.windows(2).zip(below.windows(2)) {
+            let (most, least) = (
+                a[0].max(a[1]).max(b[0].max(b[1])),
+                a[0].min(a[1]).min(b[0].min(b[1])),
+            );
+            low = low.min(most);
+            high = high.max(least);
+        }
+    }
+    (high - low).max(0.0)
+}
+
 /// 99th minus 1st percentile of a regular sample.
 fn percentile_range(data: &[f32]) -> f32 {
     let mut sample: Vec<i32> = data
@@ -118,7 +151,8 @@ fn value(ordered: i32) -> f32 {
 
 /// Standard deviation of white noise: median absolute response of the mask `[1 -2 1] x [1 -2 1]`, which has gain 6 for noise and
 /// next to none for anything that optics have blurred (Immerkaer, CVIU 1996; the median ignores the edges that remain).
-fn noise_sigma(image: &GrayImage) -> f32 {
+#[must_use]
+pub fn noise_sigma(image: &GrayImage) -> f32 {
     let (w, h) = (image.width(), image.height());
     if w < 3 || h < 3 {
         return 0.0;
@@ -208,6 +242,60 @@ mod tests {
                 .threshold(&options, 0, 1)
         };
         assert!((render(0.1, 0.4) / render(1.0, 0.0) - 0.1).abs() < 1e-3);
+    }
+
+    #[test]
+    fn one_extreme_pixel_a_bead_or_a_scale_bar_sets_no_threshold() {
+        let options = Options::default();
+        let of = |extreme: &dyn Fn(usize, usize) -> Option<f32>| {
+            let image = GrayImage::from_fn(200, 160, |x, y| {
+                let tissue = 0.02 + 0.01 * (x as f32 * 0.3).sin() * (y as f32 * 0.2).cos();
+                extreme(x, y).unwrap_or(tissue)
+            });
+            Contrast::of(&image.unwrap(), &options)
+                .unwrap()
+                .threshold(&options, 0, 1)
+        };
+        let clean = of(&|_, _| None);
+        let hot = of(&|x, y| ((x, y) == (70, 33)).then_some(1.0));
+        let dead = of(&|x, y| ((x, y) == (71, 90)).then_some(0.0));
+        let bead = of(&|x, y| (x.abs_diff(100) + y.abs_diff(80) < 6).then_some(1.0));
+        let bar = of(&|x, y| ((150..190).contains(&x) && (150..154).contains(&y)).then_some(1.0));
+        for (name, with) in [("hot", hot), ("dead", dead), ("bead", bead), ("bar", bar)] {
+            assert!(
+                (0.9..1.1).contains(&(with / clean)),
+                "{name}: {with} {clean}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_few_bright_spots_on_black_are_measured_by_themselves_and_not_by_a_hot_pixel() {
+        let options = Options::default();
+        let of = |hot: f32| {
+            let image = GrayImage::from_fn(200, 160, |x, y| {
+                let spot = |u: f32, v: f32| {
+                    (-((x as f32 - u).powi(2) + (y as f32 - v).powi(2)) / 8.0).exp()
+                };
+                if (x, y) == (10, 10) {
+                    hot
+                } else {
+                    0.1 * (spot(60.0, 50.0) + spot(120.0, 100.0))
+                }
+            });
+            Contrast::of(&image.unwrap(), &options)
+                .unwrap()
+                .threshold(&options, 0, 1)
+        };
+        let clean = of(0.0);
+        assert!(clean > 0.0);
+        for hot in [0.2, 1.0, 50.0] {
+            assert!(
+                (of(hot) / clean - 1.0).abs() < 0.1,
+                "{hot}: {} {clean}",
+                of(hot)
+            );
+        }
     }
 
     #[test]

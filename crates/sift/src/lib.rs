@@ -61,6 +61,7 @@ mod orient;
 mod scale_space;
 mod simd;
 
+pub use contrast::noise_sigma;
 pub use descriptor::Descriptor;
 pub use engine::{Sift, detect_and_describe};
 pub use error::SiftError;

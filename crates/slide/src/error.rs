@@ -1,7 +1,85 @@
-//! Why a file is not a slide, or a region cannot be read.
+//! Why a file is not a picture, or a region cannot be read.
 
 use std::io;
 use std::path::{Path, PathBuf};
+
+/// What is wrong with a picture, whatever it came from: a file, a camera, a target.
+#[derive(thiserror::Error, Debug)]
+#[non_exhaustive]
+pub enum Fault {
+    /// The content is none of the formats that are read, whatever a name says.
+    #[error("it is no image that is read here ({0})")]
+    NotAnImage(String),
+    /// It starts well and ends too early.
+    #[error("it is cut short ({0})")]
+    Truncated(String),
+    /// The format is right and the content is broken.
+    #[error("its image data is damaged ({0})")]
+    Damaged(String),
+    /// It has no pixels.
+    #[error("it is {width} x {height} pixels and therefore empty")]
+    ZeroSize {
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
+    /// Reading it takes more memory than it may.
+    #[error(
+        "{width} x {height} pixels take {needed_mb} MB of memory to read, and {allowed_mb} MB may be used"
+    )]
+    TooLarge {
+        /// Columns asked for.
+        width: u32,
+        /// Rows asked for.
+        height: u32,
+        /// What it takes, millions of bytes.
+        needed_mb: u64,
+        /// What it may, millions of bytes.
+        allowed_mb: u64,
+    },
+    /// Valid, and uses something that is not read.
+    #[error("{0} is not supported")]
+    Unsupported(String),
+    /// A level, page or channel that it does not have.
+    #[error("{what} {asked} was asked for and it has {available}, counted from 0")]
+    NotThere {
+        /// "level", "page" or "channel".
+        what: &'static str,
+        /// Which was asked for.
+        asked: usize,
+        /// How many there are.
+        available: usize,
+    },
+    /// The operating system refused.
+    #[error(transparent)]
+    Io(io::Error),
+}
+
+impl From<io::Error> for Fault {
+    fn from(e: io::Error) -> Self {
+        match e.kind() {
+            io::ErrorKind::UnexpectedEof => {
+                Self::Truncated("the data ends inside the image".into())
+            }
+            io::ErrorKind::IsADirectory => Self::NotAnImage("it is a folder".into()),
+            io::ErrorKind::InvalidInput | io::ErrorKind::FileTooLarge => {
+                Self::NotAnImage(e.to_string())
+            }
+            // What decompressors say of bytes that are none of theirs.
+            io::ErrorKind::InvalidData | io::ErrorKind::Other => Self::Damaged(e.to_string()),
+            _ => Self::Io(e),
+        }
+    }
+}
+
+/// Refuses pictures without pixels.
+pub(crate) fn check_not_empty(width: u32, height: u32) -> Result<(), Fault> {
+    match width == 0 || height == 0 {
+        true => Err(Fault::ZeroSize { width, height }),
+        false => Ok(()),
+    }
+}
 
 /// Why a slide could not be opened or read. Every message names the file and says what to do.
 #[derive(thiserror::Error, Debug)]
@@ -12,8 +90,8 @@ pub enum SlideError {
         /// The path as given.
         path: PathBuf,
     },
-    /// The content is neither PNG, JPEG nor TIFF, whatever the extension says.
-    #[error("{}: not a readable image ({why}); give a PNG, JPEG, TIFF or SVS file", path.display())]
+    /// The content is none of the formats that are read, whatever the extension says.
+    #[error("{}: not a readable image ({why}); give a PNG, JPEG, JPEG 2000, TIFF or SVS file", path.display())]
     NotAnImage {
         /// The file.
         path: PathBuf,
@@ -46,9 +124,9 @@ pub enum SlideError {
         /// Rows.
         height: u32,
     },
-    /// More pixels than are read in one piece.
+    /// Reading takes more memory than it may.
     #[error(
-        "{}: {width} x {height} pixels are more than the {max_pixels} read in one piece; \
+        "{}: {width} x {height} pixels take {needed_mb} MB of memory to read, and {allowed_mb} MB may be used; \
          crop it, or save it as a tiled pyramid and read a coarser level or a region",
         path.display()
     )]
@@ -56,11 +134,13 @@ pub enum SlideError {
         /// The file.
         path: PathBuf,
         /// Columns asked for.
-        width: u64,
+        width: u32,
         /// Rows asked for.
-        height: u64,
-        /// The limit, pixels.
-        max_pixels: u64,
+        height: u32,
+        /// What it takes, millions of bytes.
+        needed_mb: u64,
+        /// What it may, millions of bytes.
+        allowed_mb: u64,
     },
     /// A valid file that uses something this reader does not know.
     #[error("{}: {what} is not supported; convert the file to PNG, JPEG, or TIFF with 8 or 16 bit grey or RGB", path.display())]
@@ -80,6 +160,18 @@ pub enum SlideError {
         /// How many levels there are.
         available: usize,
     },
+    /// A page or a channel that the file does not have.
+    #[error("{}: {what} {asked} was asked for and the file has {available}, counted from 0", path.display())]
+    NotThere {
+        /// The file.
+        path: PathBuf,
+        /// "page" or "channel".
+        what: &'static str,
+        /// Which was asked for.
+        asked: usize,
+        /// How many there are.
+        available: usize,
+    },
     /// The operating system refused.
     #[error("{}: the file could not be read ({source}); check that it is a file and its permissions", path.display())]
     Io {
@@ -91,86 +183,54 @@ pub enum SlideError {
 }
 
 impl SlideError {
-    pub(crate) fn io(path: &Path, source: io::Error) -> Self {
+    /// What is wrong with the file at `path`.
+    pub(crate) fn of(path: &Path, fault: Fault) -> Self {
         let path = path.to_path_buf();
-        match source.kind() {
-            io::ErrorKind::NotFound => Self::NotFound { path },
-            io::ErrorKind::UnexpectedEof => Self::Truncated {
+        match fault {
+            Fault::NotAnImage(why) => Self::NotAnImage { path, why },
+            Fault::Truncated(why) => Self::Truncated { path, why },
+            Fault::Damaged(why) => Self::Damaged { path, why },
+            Fault::ZeroSize { width, height } => Self::ZeroSize {
                 path,
-                why: "the data ends inside the image".into(),
-            },
-            _ => Self::Io { path, source },
-        }
-    }
-
-    pub(crate) fn truncated(path: &Path, why: impl Into<String>) -> Self {
-        Self::Truncated {
-            path: path.to_path_buf(),
-            why: why.into(),
-        }
-    }
-
-    pub(crate) fn damaged(path: &Path, why: impl Into<String>) -> Self {
-        Self::Damaged {
-            path: path.to_path_buf(),
-            why: why.into(),
-        }
-    }
-
-    pub(crate) fn unsupported(path: &Path, what: impl Into<String>) -> Self {
-        Self::Unsupported {
-            path: path.to_path_buf(),
-            what: what.into(),
-        }
-    }
-
-    /// Refuses empty images and images of more than [`crate::MAX_PIXELS`].
-    pub(crate) fn check_size(path: &Path, width: u32, height: u32) -> Result<(), Self> {
-        if width == 0 || height == 0 {
-            return Err(Self::ZeroSize {
-                path: path.to_path_buf(),
                 width,
                 height,
-            });
-        }
-        if u64::from(width) * u64::from(height) > crate::MAX_PIXELS {
-            return Err(Self::TooLarge {
-                path: path.to_path_buf(),
-                width: width.into(),
-                height: height.into(),
-                max_pixels: crate::MAX_PIXELS,
-            });
-        }
-        Ok(())
-    }
-
-    pub(crate) fn from_image(path: &Path, e: image::ImageError) -> Self {
-        use image::ImageError as E;
-        match e {
-            E::IoError(source) => Self::io(path, source),
-            E::Unsupported(u) => Self::unsupported(path, format!("this kind of image ({u})")),
-            E::Limits(_) => {
-                Self::damaged(path, "the header asks for more memory than any image needs")
+            },
+            Fault::TooLarge {
+                width,
+                height,
+                needed_mb,
+                allowed_mb,
+            } => Self::TooLarge {
+                path,
+                width,
+                height,
+                needed_mb,
+                allowed_mb,
+            },
+            Fault::Unsupported(what) => Self::Unsupported { path, what },
+            Fault::NotThere {
+                what: "level",
+                asked,
+                available,
+            } => Self::Level {
+                path,
+                asked,
+                available,
+            },
+            Fault::NotThere {
+                what,
+                asked,
+                available,
+            } => Self::NotThere {
+                path,
+                what,
+                asked,
+                available,
+            },
+            Fault::Io(source) if source.kind() == io::ErrorKind::NotFound => {
+                Self::NotFound { path }
             }
-            other => {
-                let why = other.to_string();
-                if why.to_lowercase().contains("eof") || why.contains("end of") {
-                    Self::truncated(path, "the data ends inside the image")
-                } else {
-                    Self::damaged(path, why)
-                }
-            }
-        }
-    }
-
-    pub(crate) fn from_tiff(path: &Path, e: tiff::TiffError) -> Self {
-        use tiff::TiffError as E;
-        match e {
-            E::IoError(source) => Self::io(path, source),
-            E::UnsupportedError(u) => Self::unsupported(path, format!("this kind of TIFF ({u})")),
-            E::LimitsExceeded => Self::damaged(path, "a tag or tile claims an impossible size"),
-            E::FormatError(f) => Self::damaged(path, f.to_string()),
-            other => Self::damaged(path, other.to_string()),
+            Fault::Io(source) => Self::Io { path, source },
         }
     }
 }

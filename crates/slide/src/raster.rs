@@ -66,16 +66,14 @@ pub(crate) fn luma(r: f32, g: f32, b: f32, full: f32) -> f32 {
     (0.299 * r + 0.587 * g + 0.114 * b) / full
 }
 
-/// Channel `c` of opacity `a` over white, all on 0..=255.
-pub(crate) fn over_white_8(c: u8, a: u8) -> u8 {
-    let (c, a) = (u32::from(c), u32::from(a));
-    ((c * a + 255 * (255 - a) + 127) / 255) as u8
+/// Channel `c` of opacity `a` over white, all on 0..=`full`.
+pub(crate) fn over_white(c: u64, a: u64, full: u64) -> u64 {
+    (c * a + full * (full - a) + full / 2) / full
 }
 
-/// Channel `c` of opacity `a` over white, all on 0..=65535.
-pub(crate) fn over_white_16(c: u16, a: u16) -> u16 {
-    let (c, a) = (u64::from(c), u64::from(a));
-    ((c * a + 65535 * (65535 - a) + 32767) / 65535) as u16
+/// Rec. 601 luma of a colour in 8 bits, rounded.
+pub(crate) fn gray_u8([r, g, b]: [u8; 3]) -> u8 {
+    (255.0 * luma(r.into(), g.into(), b.into(), 255.0)).round() as u8
 }
 
 /// 16 to 8 bits, rounded: 65535 / 255 = 257.
@@ -100,11 +98,13 @@ mod tests {
 
     #[test]
     fn alpha_over_white_at_its_ends_and_in_the_middle() {
-        assert_eq!(over_white_8(10, 255), 10);
-        assert_eq!(over_white_8(10, 0), 255);
-        assert_eq!(over_white_8(0, 128), 127);
-        assert_eq!(over_white_16(1000, 65535), 1000);
-        assert_eq!(over_white_16(1000, 0), 65535);
+        let over_8 = |c, a| over_white(c, a, 255);
+        assert_eq!(
+            [over_8(10, 255), over_8(10, 0), over_8(0, 128)],
+            [10, 255, 127]
+        );
+        assert_eq!(over_white(1000, 65535, 65535), 1000);
+        assert_eq!(over_white(1000, 0, 65535), 65535);
         assert_eq!((to_8(65535), to_8(257 * 7), to_8(0)), (255, 7, 0));
     }
 

@@ -1,14 +1,15 @@
 //! The slide: one file, its levels, and regions of them.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
-use image::ImageFormat;
-
-use crate::raster::luma;
-use crate::tiled::TiffPages;
-use crate::{Gray, Rgb8, SlideError, whole};
+use crate::cache::Lru;
+use crate::input::Input;
+use crate::orientation::Orientation;
+use crate::sink::{Place, RgbSink, Sink};
+use crate::source::Source;
+use crate::tiff::Tiff;
+use crate::{Choices, Fault, Gray, Rgb8, SlideError, TILE_CACHE_BYTES, Wanted};
 
 /// One resolution of a slide.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,75 +27,49 @@ pub struct LevelInfo {
 pub struct Slide {
     path: PathBuf,
     levels: Vec<LevelInfo>,
-    um_per_px: Option<f64>,
-    source: Source,
-}
-
-#[derive(Debug)]
-enum Source {
-    /// PNG or JPEG in memory. `deep`: the file has 16 bits per channel.
-    Whole {
-        rgb: Rgb8,
-        deep: bool,
-        format: ImageFormat,
-    },
-    /// Stripped TIFF in memory; the pages serve only for 16-bit grey.
-    Strips { rgb: Rgb8, pages: TiffPages },
-    /// Tiled TIFF on disk.
-    Tiles(TiffPages),
+    source: Source<'static>,
+    /// The finest level of a file that is not read by tiles, with what is shown where the file says nothing.
+    whole: Mutex<Option<(Arc<Rgb8>, [u8; 3])>>,
+    tiles: Lru<(usize, u64), Option<Rgb8>>,
 }
 
 impl Slide {
-    /// Opens a PNG, JPEG, TIFF or SVS file, judged by its first bytes.
+    /// Opens a PNG, JPEG, JPEG 2000, TIFF or SVS file, judged by its first bytes.
     ///
     /// # Errors
-    /// A missing, empty, cut, damaged, oversized or unsupported file, each as its own [`SlideError`].
+    /// As [`Slide::open_as`].
     pub fn open(path: &Path) -> Result<Self, SlideError> {
-        match sniff(path)? {
-            Kind::Raster(format) => {
-                let (rgb, deep) = whole::decode_rgb8(path, format)?;
-                Ok(Self {
-                    path: path.to_path_buf(),
-                    levels: vec![LevelInfo {
-                        width: rgb.width,
-                        height: rgb.height,
-                        downsample: 1.0,
-                    }],
-                    um_per_px: None,
-                    source: Source::Whole { rgb, deep, format },
-                })
-            }
-            Kind::Tiff => {
-                let pages = TiffPages::open(path)?;
-                let (width, height) = pages.size(0);
-                let levels = (0..pages.len())
-                    .map(|i| {
-                        let (w, h) = pages.size(i);
-                        let ratio = [(width, w), (height, h)]
-                            .map(|(full, part)| f64::from(full) / f64::from(part));
-                        LevelInfo {
-                            width: w,
-                            height: h,
-                            downsample: 0.5 * (ratio[0] + ratio[1]),
-                        }
-                    })
-                    .collect();
-                let um_per_px = pages.um_per_px();
-                let source = if pages.is_tiled() {
-                    Source::Tiles(pages)
-                } else {
-                    SlideError::check_size(path, width, height)?;
-                    let rgb = pages.read_rgb8(0, 0, 0, width, height, [255; 3])?;
-                    Source::Strips { rgb, pages }
-                };
-                Ok(Self {
-                    path: path.to_path_buf(),
-                    levels,
-                    um_per_px,
-                    source,
-                })
-            }
-        }
+        Self::open_as(path, &Wanted::default())
+    }
+
+    /// Opens one image of a file. A JPEG is looked through to its end; of others what is damaged is found when it is read.
+    ///
+    /// # Errors
+    /// A missing, empty, cut, damaged, oversized or unsupported file, a page or channel that is not there, each as its own [`SlideError`].
+    pub fn open_as(path: &Path, wanted: &Wanted) -> Result<Self, SlideError> {
+        let opened = Input::open(path)
+            .and_then(|input| Source::open(input, wanted.choice, wanted.budget, wanted.alpha));
+        let source = opened.map_err(|fault| SlideError::of(path, fault))?;
+        let [width, height] = source.place(0).shown();
+        let levels = (0..source.levels())
+            .map(|k| {
+                let [w, h] = source.place(k).shown();
+                let ratio =
+                    [(width, w), (height, h)].map(|(full, part)| f64::from(full) / f64::from(part));
+                LevelInfo {
+                    width: w,
+                    height: h,
+                    downsample: 0.5 * (ratio[0] + ratio[1]),
+                }
+            })
+            .collect();
+        Ok(Self {
+            path: path.to_path_buf(),
+            levels,
+            source,
+            whole: Mutex::new(None),
+            tiles: Lru::new(TILE_CACHE_BYTES),
+        })
     }
 
     /// The resolutions, finest first; at least one.
@@ -103,19 +78,25 @@ impl Slide {
         &self.levels
     }
 
-    /// Pixel size of level 0 in micrometres, when the file states it: the `MPP` of an SVS, or TIFF resolution tags with
-    /// a unit that give 0.05 to 50 um. Print resolutions and PNG `pHYs` are not believed.
+    /// Pixel size of level 0 in micrometres, when the file states it: OME-XML, the `MPP` of an SVS, ImageJ's text, or TIFF resolution tags
+    /// with a unit, where it is 0.01 to 50 um. Print resolutions and PNG `pHYs` are not believed.
     #[must_use]
     pub fn um_per_px(&self) -> Option<f64> {
-        self.um_per_px
+        self.source.um_per_px()
+    }
+
+    /// The pages and channels that the file has, and which is looked at.
+    #[must_use]
+    pub fn choices(&self) -> Choices {
+        self.source.choices()
     }
 
     /// The `w` x `h` region of `level` whose first pixel is column `x`, row `y` of that level. What lies outside the
-    /// level has the colour `outside`. Alpha is composited on white.
+    /// level, and tiles that were never written, have the colour `outside`. Alpha is composited on white.
     ///
     /// # Errors
-    /// [`SlideError::Level`] for a level that is not there, [`SlideError::TooLarge`] for a region over
-    /// [`crate::MAX_PIXELS`], and what reading and decoding tiles may meet.
+    /// [`SlideError::Level`] for a level that is not there, [`SlideError::TooLarge`] for more memory than there may be, and what
+    /// reading and decoding may meet.
     pub fn read_rgb8(
         &self,
         level: usize,
@@ -125,21 +106,93 @@ impl Slide {
         h: u32,
         outside: [u8; 3],
     ) -> Result<Rgb8, SlideError> {
-        self.check_level(level)?;
-        if w > 0 && h > 0 {
-            SlideError::check_size(&self.path, w, h)?;
-        }
+        self.region(level, [x, y], [w, h], outside)
+            .map_err(|fault| SlideError::of(&self.path, fault))
+    }
+
+    fn region(
+        &self,
+        level: usize,
+        [x, y]: [i64; 2],
+        [w, h]: [u32; 2],
+        outside: [u8; 3],
+    ) -> Result<Rgb8, Fault> {
+        self.source.check_level(level)?;
+        let bytes = 3 * u64::from(w) * u64::from(h);
+        self.source.budget.check([w, h], bytes)?;
         // Far outside is as good as just outside, and cannot overflow.
         let far = i64::from(u32::MAX) * 2;
         let (x, y) = (x.clamp(-far, far), y.clamp(-far, far));
-        match &self.source {
-            Source::Whole { rgb, .. } | Source::Strips { rgb, .. } => {
-                let mut out = Rgb8::filled(w, h, outside);
-                out.paste(rgb, -x, -y);
-                Ok(out)
-            }
-            Source::Tiles(pages) => pages.read_rgb8(level, x, y, w, h, outside),
+        if let Some(tiff) = self.source.tiff().filter(|t| self.by_chunks(t, level)) {
+            return self.by_tiles(tiff, level, [x, y, w.into(), h.into()], outside);
         }
+        let mut out = Rgb8::filled(w, h, outside);
+        out.paste(&*self.whole(outside)?, -x, -y);
+        Ok(out)
+    }
+
+    /// Whether a level is read tile by tile, or strip by strip where all of it is too much.
+    fn by_chunks(&self, tiff: &Tiff, level: usize) -> bool {
+        let [w, h] = self.source.place(level).stored.map(u64::from);
+        tiff.is_tiled() || level > 0 || 3 * w * h > self.source.budget.bytes
+    }
+
+    /// The finest level of what is held in one piece.
+    fn whole(&self, outside: [u8; 3]) -> Result<Arc<Rgb8>, Fault> {
+        let mut held = self.whole.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((whole, _)) = held.as_ref().filter(|(_, o)| *o == outside) {
+            return Ok(Arc::clone(whole));
+        }
+        // Not two at a time.
+        *held = None;
+        let whole = Arc::new(self.source.rgb8(0, outside)?);
+        *held = Some((Arc::clone(&whole), outside));
+        Ok(whole)
+    }
+
+    fn by_tiles(
+        &self,
+        tiff: &Tiff,
+        level: usize,
+        shown: [i64; 4],
+        outside: [u8; 3],
+    ) -> Result<Rgb8, Fault> {
+        let Place {
+            stored,
+            orientation,
+        } = self.source.place(level);
+        let from @ [x, y, w, h] = orientation.stored(stored, shown);
+        let mut out = Rgb8::filled(w as u32, h as u32, outside);
+        for (index, [cx, cy, columns, rows]) in tiff.chunks_in(level, from) {
+            let key = (level, index);
+            let chunk = match self.tiles.get(&key) {
+                Some(chunk) => chunk,
+                None => {
+                    let size = [columns, rows];
+                    self.source.budget.check(size, tiff.chunk_bytes(level))?;
+                    let place = Place {
+                        stored: size,
+                        orientation: Orientation::default(),
+                    };
+                    let mut sink = RgbSink::new(place, outside);
+                    let written = tiff.chunk(
+                        &self.source.input,
+                        level,
+                        index,
+                        self.source.budget,
+                        &mut sink,
+                    )?;
+                    let chunk = Arc::new(written.then_some(sink.out));
+                    let bytes = chunk.as_ref().as_ref().map_or(64, |c| c.data.len());
+                    self.tiles.put(key, Arc::clone(&chunk), bytes);
+                    chunk
+                }
+            };
+            if let Some(chunk) = chunk.as_ref() {
+                out.paste(chunk, i64::from(cx) - x, i64::from(cy) - y);
+            }
+        }
+        Ok(upright(out, orientation))
     }
 
     /// A whole level as grey, 0 to 1: Rec. 601 luma, alpha composited on white, 16-bit precision kept.
@@ -147,74 +200,43 @@ impl Slide {
     /// # Errors
     /// As [`Slide::read_rgb8`].
     pub fn read_gray(&self, level: usize) -> Result<Gray, SlideError> {
-        self.check_level(level)?;
-        let LevelInfo { width, height, .. } = self.levels[level];
-        SlideError::check_size(&self.path, width, height)?;
-        match &self.source {
-            Source::Whole {
-                deep: true, format, ..
-            } => whole::decode_gray_16(&self.path, *format),
-            Source::Strips { pages, .. } | Source::Tiles(pages) if pages.is_deep(level) => {
-                pages.read_gray(level)
-            }
-            Source::Tiles(pages) => pages.read_gray(level),
-            Source::Whole { rgb, .. } | Source::Strips { rgb, .. } => Ok(gray_of(rgb)),
-        }
+        Ok(self.read_gray_reduced(level, u64::MAX)?.0)
     }
 
-    fn check_level(&self, asked: usize) -> Result<(), SlideError> {
-        if asked < self.levels.len() {
-            return Ok(());
-        }
-        Err(SlideError::Level {
-            path: self.path.clone(),
-            asked,
-            available: self.levels.len(),
-        })
+    /// A whole level as grey, as means of blocks of so many pixels each way that at most `most` remain; and how many. It is reduced while it is
+    /// decoded: what is held is the result.
+    ///
+    /// # Errors
+    /// As [`Slide::read_rgb8`].
+    pub fn read_gray_reduced(&self, level: usize, most: u64) -> Result<(Gray, usize), SlideError> {
+        self.source
+            .check_level(level)
+            .and_then(|()| self.source.gray(level, most))
+            .map_err(|fault| SlideError::of(&self.path, fault))
     }
 }
 
-fn gray_of(rgb: &Rgb8) -> Gray {
-    let data = rgb.data.as_chunks::<3>().0.iter();
-    Gray {
-        width: rgb.width as usize,
-        height: rgb.height as usize,
-        data: data
-            .map(|&[r, g, b]| luma(r.into(), g.into(), b.into(), 255.0))
-            .collect(),
+/// A stored region as it is shown.
+fn upright(stored: Rgb8, orientation: Orientation) -> Rgb8 {
+    if orientation.is_upright() {
+        return stored;
     }
-}
-
-enum Kind {
-    Raster(ImageFormat),
-    Tiff,
-}
-
-/// Tells the format by the first bytes.
-fn sniff(path: &Path) -> Result<Kind, SlideError> {
-    let io = |e| SlideError::io(path, e);
-    let not_an_image = |why: &str| SlideError::NotAnImage {
-        path: path.to_path_buf(),
-        why: why.into(),
+    let place = Place {
+        stored: [stored.width, stored.height],
+        orientation,
     };
-    let file = File::open(path).map_err(io)?;
-    if file.metadata().map_err(io)?.is_dir() {
-        return Err(not_an_image("it is a folder"));
+    let mut sink = RgbSink::new(place, [0; 3]);
+    for (y, row) in stored
+        .data
+        .chunks_exact(3 * (stored.width as usize).max(1))
+        .enumerate()
+    {
+        let values = crate::layout::Values::U8(row.to_vec());
+        let row = crate::layout::Row {
+            channels: 3,
+            values,
+        };
+        sink.row(0, y as u32, 1, &row);
     }
-    let mut head = Vec::new();
-    file.take(8).read_to_end(&mut head).map_err(io)?;
-    const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
-    match head.as_slice() {
-        [] => Err(not_an_image("the file is empty")),
-        PNG => Ok(Kind::Raster(ImageFormat::Png)),
-        [0xFF, 0xD8, 0xFF, ..] => Ok(Kind::Raster(ImageFormat::Jpeg)),
-        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Ok(Kind::Tiff),
-        short if PNG.starts_with(short) => Err(SlideError::truncated(
-            path,
-            "only the first bytes of a PNG are there",
-        )),
-        _ => Err(not_an_image(
-            "its first bytes are not those of a PNG, JPEG or TIFF",
-        )),
-    }
+    sink.out
 }

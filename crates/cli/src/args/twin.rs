@@ -129,6 +129,7 @@ pub(super) fn parse_pair(text: &str) -> Result<[f64; 2], String> {
 #[command(after_help = "Examples:
   scopeservo register view.png target.png
   scopeservo register scanner_a.tif scanner_b.tif --level 2 --json
+  scopeservo register view.png slide.ome.tif --level 0,2 --channel 0,1      a level and a channel for each file
   scopeservo register scan.tif target.png --features 8000
   scopeservo register view.png target.png --time 50 --threads 1
   scopeservo register before.png after.png --same-place      both show one place, and most of it is blank
@@ -140,9 +141,15 @@ pub(crate) struct RegisterArgs {
     pub(crate) view: PathBuf,
     /// The image to find the transform to.
     pub(crate) target: PathBuf,
-    /// Pyramid level of both files; 0 is the finest. Coordinates are pixels of that level.
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    pub(crate) level: usize,
+    /// Pyramid level of both files, or of view and target with a comma between; 0 is the finest. Coordinates are pixels of that level.
+    #[arg(long, value_name = "N[,N]", value_delimiter = ',', num_args = 1)]
+    pub(crate) level: Vec<usize>,
+    /// Page of both files, or of view and target; counted from 0. Without it the finest or first image.
+    #[arg(long, value_name = "N[,N]", value_delimiter = ',', num_args = 1)]
+    pub(crate) page: Vec<usize>,
+    /// Channel of both files, or of view and target; counted from 0. Without it the first, or colour as grey.
+    #[arg(long, value_name = "N[,N]", value_delimiter = ',', num_args = 1)]
+    pub(crate) channel: Vec<usize>,
     /// Strongest features of each image to use.
     #[arg(long, value_name = "N", default_value_t = 2000)]
     pub(crate) features: usize,

@@ -186,10 +186,7 @@ fn files(path: &Path) -> Result<BTreeMap<PathBuf, Version>, ScopeError> {
 
 fn read(file: &Path) -> Result<Picture, ScopeError> {
     let bad = |what: &dyn std::fmt::Display| device(format!("{}: {what}", file.display()));
-    if fs::metadata(file).map_err(|e| bad(&e))?.len() > MAX_FILE_BYTES {
-        return Err(bad(&"the file is too large for an image"));
-    }
-    let bytes = fs::read(file).map_err(|e| bad(&e))?;
+    let bytes = scopeservo_files::read(file, MAX_FILE_BYTES).map_err(|e| bad(&e))?;
     picture::decode(&bytes).map_err(|e| bad(&e))
 }
 

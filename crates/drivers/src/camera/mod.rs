@@ -9,7 +9,6 @@ mod exposing;
 mod factory;
 mod folder;
 pub mod http;
-mod jpeg;
 mod mjpeg;
 pub mod multipart;
 pub mod picture;

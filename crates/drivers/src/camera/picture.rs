@@ -1,16 +1,11 @@
 //! Images as cameras send them, unpacked.
 
-use crate::camera::jpeg;
 pub use crate::camera::picture_error::PictureError;
-use image::{DynamicImage, ImageReader};
 use scopeservo_scope::{Channels, Samples};
-use std::borrow::Cow;
-use std::io::Cursor;
+use scopeservo_slide::{Alpha, Budget, Fault, Samples as Stored, Wanted};
 
-/// No image has more columns or rows.
-const MAX_SIDE_PX: u32 = 16_384;
-/// Unpacking needs no more memory.
-const MAX_UNPACKED_BYTES: u64 = 512 << 20;
+/// No image takes more memory to unpack.
+const BUDGET: Budget = Budget { bytes: 512 << 20 };
 
 /// An unpacked image.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,55 +22,37 @@ pub struct Picture {
     pub samples: Samples,
 }
 
-/// Unpacks a JPEG, PNG or TIFF file.
+/// Unpacks a JPEG, PNG, JPEG 2000 or TIFF file, upright, without its opacity: a sensor has none.
 ///
 /// # Errors
 /// [`PictureError`].
 pub fn decode(bytes: &[u8]) -> Result<Picture, PictureError> {
-    let bytes = match bytes.starts_with(&[0xff, 0xd8]) {
-        true => jpeg::whole(bytes)?,
-        false => Cow::Borrowed(bytes),
+    let wanted = Wanted {
+        alpha: Alpha::Dropped,
+        budget: BUDGET,
+        ..Wanted::default()
     };
-    let unreadable = |e: &dyn std::fmt::Display| PictureError::Unreadable(e.to_string());
-    let mut reader = ImageReader::new(Cursor::new(&*bytes))
-        .with_guessed_format()
-        .map_err(|e| unreadable(&e))?;
-    let mut limits = image::Limits::default();
-    limits.max_image_width = Some(MAX_SIDE_PX);
-    limits.max_image_height = Some(MAX_SIDE_PX);
-    limits.max_alloc = Some(MAX_UNPACKED_BYTES);
-    reader.limits(limits);
-    let image = reader.decode().map_err(|e| unreadable(&e))?;
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    let (channels, bit_depth, samples) = match image {
-        DynamicImage::ImageLuma8(i) => (Channels::Gray, 8, Samples::U8(i.into_raw())),
-        DynamicImage::ImageLuma16(i) => (Channels::Gray, 16, Samples::U16(i.into_raw())),
-        DynamicImage::ImageRgb16(i) => (Channels::Rgb, 16, Samples::U16(i.into_raw())),
-        DynamicImage::ImageRgba16(_) => {
-            let rgb = image.into_rgb16().into_raw();
-            (Channels::Rgb, 16, Samples::U16(rgb))
-        }
-        DynamicImage::ImageLumaA8(_) => {
-            let gray = image.into_luma8().into_raw();
-            (Channels::Gray, 8, Samples::U8(gray))
-        }
-        DynamicImage::ImageLumaA16(_) => {
-            let gray = image.into_luma16().into_raw();
-            (Channels::Gray, 16, Samples::U16(gray))
-        }
-        DynamicImage::ImageRgb8(_) | DynamicImage::ImageRgba8(_) => {
-            (Channels::Rgb, 8, Samples::U8(image.into_rgb8().into_raw()))
-        }
-        _ => {
-            return Err(PictureError::Unreadable(
-                "its samples are no whole numbers".into(),
-            ));
-        }
+    let read = scopeservo_slide::decode(bytes, &wanted).map_err(|fault| match fault {
+        Fault::Truncated(_) => PictureError::Cut { bytes: bytes.len() },
+        fault => PictureError::Unreadable(fault.to_string()),
+    })?;
+    // A range of its own for each image would make a frame brighter for a single pixel.
+    if read.range_was_estimated {
+        return Err(PictureError::Unreadable(
+            "its samples have no range of their own: let the camera save whole numbers of 8 or 16 bits".into(),
+        ));
+    }
+    let (bit_depth, samples) = match read.samples {
+        Stored::U8(samples) => (8, Samples::U8(samples)),
+        Stored::U16(samples) => (16, Samples::U16(samples)),
     };
     Ok(Picture {
-        width,
-        height,
-        channels,
+        width: read.width,
+        height: read.height,
+        channels: match read.channels {
+            1 => Channels::Gray,
+            _ => Channels::Rgb,
+        },
         bit_depth,
         samples,
     })
@@ -85,7 +62,8 @@ pub fn decode(bytes: &[u8]) -> Result<Picture, PictureError> {
 pub(crate) mod tests {
     use super::*;
     use image::codecs::jpeg::JpegEncoder;
-    use image::{ExtendedColorType, ImageFormat};
+    use image::{DynamicImage, ExtendedColorType, ImageFormat};
+    use std::io::Cursor;
 
     /// An image with structure, and its JPEG.
     pub(crate) fn jpeg(width: u32, height: u32, shade: u8) -> Vec<u8> {

@@ -12,14 +12,6 @@ pub enum PictureError {
         /// How much of it there is.
         bytes: usize,
     },
-    /// A part in its middle is missing or damaged.
-    #[error("the image has a hole: its data make no sense after {part} of {of} parts")]
-    Hole {
-        /// How many parts there are before it.
-        part: usize,
-        /// How many there should be.
-        of: usize,
-    },
     /// It is of no kind that is known, or damaged.
     #[error("the image cannot be read: {0}")]
     Unreadable(String),

@@ -14,7 +14,7 @@ pub fn read_secret(
     file: &Path,
 ) -> Result<(PathBuf, Vec<u8>), ConnectError> {
     let path = resolve(file);
-    match std::fs::read(&path) {
+    match scopeservo_files::read(&path, scopeservo_files::MAX_CONFIG_BYTES) {
         Ok(bytes) => Ok((path, bytes)),
         Err(error) => Err(ConnectError::Secret {
             path,

@@ -2,7 +2,7 @@
 
 use super::criteria::Criteria;
 use super::promise::{Kept, Promise};
-use super::sight::{Located, Sight};
+use super::sight::{Located, Sight, View};
 use super::state::Servo;
 use super::watch::Watch;
 use crate::event::tell;
@@ -12,7 +12,7 @@ use crate::{
     Contradiction, Event, PlanarPose, PoseEstimate, Progress, ServoEnd, ServoError, ServoResult,
     ServoTask, Sink, Velocity,
 };
-use scopeservo_registration::NotFound;
+use scopeservo_registration::{NotFound, Prior, flipped};
 use scopeservo_scope::{Instrument, StagePose};
 
 /// Scales of two objectives that disagree by more than this, as a logarithm, are no drift: three times the paper's convergence range.
@@ -140,13 +140,13 @@ impl Servo {
         task: &ServoTask<'_>,
         scope: &Instrument,
         sink: &mut dyn Sink,
-        sequence: u64,
+        view: &View,
         reason: &NotFound,
     ) -> Result<Progress<ServoEnd>, ServoError> {
         let event = Event::Lost {
             objective: task.objective().clone(),
             iteration: self.convergence.iteration,
-            sequence,
+            sequence: view.sequence,
             reason: reason.clone(),
         };
         tell(scope, sink, event);
@@ -157,7 +157,8 @@ impl Servo {
         // What a move has lost is looked for where it began.
         let may = self.convergence.iteration < task.options.max_iterations;
         let Some((before, error)) = self.watch.turns_back().filter(|_| may) else {
-            return Ok(Progress::Done(self.gone(end)));
+            let end = self.gone(end);
+            return Ok(Progress::Done(self.or_mirrored(task, view, end)?));
         };
         let present = scope.gate().position()?;
         move_from_one_side(
@@ -173,6 +174,30 @@ impl Servo {
         self.convergence.begin_anew();
         self.proof.begin_anew();
         Ok(Progress::Continue)
+    }
+
+    /// A target that was not found may be there as a mirror image. That is looked for once, at the end.
+    fn or_mirrored(
+        &self,
+        task: &ServoTask<'_>,
+        view: &View,
+        end: ServoEnd,
+    ) -> Result<ServoEnd, ServoError> {
+        let ServoEnd::Lost(_) = &end else {
+            return Ok(end);
+        };
+        let mirror = task.vision.of_view(&flipped(&view.image)?)?;
+        let prior = Prior {
+            scale: self.expected.prior(task).scale,
+            ..Prior::default()
+        };
+        let seen = task.vision.register(&mirror, &task.target.features, &prior);
+        Ok(match seen.found() {
+            Some(_) => ServoEnd::Lost(NotFound::Mirrored {
+                inliers: seen.inliers,
+            }),
+            None => end,
+        })
     }
 
     /// What was seen, is lost, and is not where it was seen any more, has moved otherwise than it was told, where there is something to see.

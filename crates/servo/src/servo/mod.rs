@@ -62,7 +62,7 @@ impl Servo {
         let prior = self.expected.prior(task);
         let sight = match Sight::of(&view, task, scope, prior, present, &self.proof.fixed)? {
             Ok(sight) => self.found(sight),
-            Err(reason) => return self.lost(task, scope, sink, view.sequence, &reason),
+            Err(reason) => return self.lost(task, scope, sink, &view, &reason),
         };
         // Control: Eq. (22).
         let passes = test.passes(&sight.located.pose.error, &sight.located.estimate);

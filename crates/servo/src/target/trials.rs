@@ -5,7 +5,7 @@ use super::Target;
 use super::quality::{LIKELY, TargetQuality, Tried, Weakness};
 use crate::localize::with_localizer;
 use crate::{Expected, FixedPlaces, ServoError, VisionOptions};
-use scopeservo_features::{FeatureError, Features, GrayImage, Keypoint};
+use scopeservo_features::{FeatureError, Features, GrayImage, Keypoint, noise_sigma};
 use scopeservo_geometry::{Affine2, Mat2, SplitMix64, Vec2};
 use scopeservo_registration::likeness::Plane;
 use scopeservo_registration::{Prior, RotationPrior, ScalePrior};
@@ -20,6 +20,9 @@ const PIXEL_SIGMA: f64 = 0.4;
 const BLUR_PX: f64 = 1.2;
 const NOISE: [f64; 2] = [0.005, 0.02];
 const COVERED: f64 = 0.3;
+/// An image whose brightest thousandth is below this fills little of its range; its views have up to so many times its own noise.
+const DIM: f32 = 0.25;
+const NOISIER: f64 = 4.0;
 /// Under the target's own objective it lies so far from the middle, as a share of the view, and is turned by so much, rad.
 const ASIDE: f64 = 0.15;
 const TURNED_RAD: f64 = 0.03;
@@ -47,6 +50,7 @@ pub(super) fn tried(
     let ladder = ladder(target, objectives);
     let own_scale = ladder.last().map_or(um_per_px, |o| o.nominal_um_per_px);
     let (mut all, mut sigmas) = (Vec::new(), Vec::new());
+    let noisiest = noisiest(image);
     for (k, objective) in ladder.iter().enumerate() {
         let is_own = k + 1 == ladder.len();
         let views = VIEWS[if is_own { 2 } else { k.min(1) }];
@@ -59,7 +63,8 @@ pub(super) fn tried(
             misled: 0,
         };
         for _ in 0..views {
-            let made = Made::draw(&mut rng, image, ratio, is_own);
+            let mut made = Made::draw(&mut rng, image, ratio, is_own);
+            made.noise = made.noise.min(noisiest);
             match made.located(&made.view(image, &mut rng)?, target, vision)? {
                 Found::Right(sigma) => {
                     seen.found += 1;
@@ -87,6 +92,18 @@ pub(super) fn tried(
         weakness: weakness(target, textured, &all, chance),
         tried: all,
     })
+}
+
+/// The most noise that views are made with, of full scale. An image that fills little of its range comes from a sensor of fewer bits than its
+/// numbers have, so that full scale says nothing of it: its own noise does.
+fn noisiest(image: &GrayImage) -> f64 {
+    let mut levels: Vec<f32> = image.data().iter().step_by(7).copied().collect();
+    let rank = levels.len() - 1 - levels.len() / 1000;
+    let brightest = *levels.select_nth_unstable_by(rank, f32::total_cmp).1;
+    match brightest < DIM {
+        true => NOISIER * f64::from(noise_sigma(image)),
+        false => f64::INFINITY,
+    }
 }
 
 /// The objectives up to the target's own, which comes last.

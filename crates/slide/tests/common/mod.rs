@@ -5,6 +5,8 @@
     reason = "each test file uses a part of these helpers"
 )]
 
+pub mod tif;
+
 use std::path::{Path, PathBuf};
 
 use image::{DynamicImage, ImageFormat};

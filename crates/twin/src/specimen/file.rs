@@ -34,6 +34,8 @@ impl FileSpecimen {
             });
         }
         let slide = Slide::open(path)?;
+        // What is damaged is told now, not in the middle of a run.
+        slide.read_rgb8(0, 0, 0, 1, 1, GLASS)?;
         let finest_um =
             um_per_px
                 .or(slide.um_per_px())
