@@ -211,11 +211,10 @@ impl DeepSink {
 
 impl Sink for DeepSink {
     fn row(&mut self, x: u32, y: u32, step: u32, row: &Row) {
-        let width = self.place.shown()[0] as usize;
-        let places = self.place.pixels(x, y, step);
+        let (place, channels) = (&self.place, self.channels);
         match (&mut self.values, &row.values) {
-            (Values::U8(to), Values::U8(from)) => put(to, from, self.channels, width, places),
-            (Values::U16(to), Values::U16(from)) => put(to, from, self.channels, width, places),
+            (Values::U8(to), Values::U8(from)) => put(to, from, channels, place, [x, y, step]),
+            (Values::U16(to), Values::U16(from)) => put(to, from, channels, place, [x, y, step]),
             // A picture has one depth.
             _ => {}
         }
@@ -232,14 +231,14 @@ impl Sink for DeepSink {
     }
 }
 
-fn put<T: Copy>(
-    to: &mut [T],
-    from: &[T],
-    channels: usize,
-    width: usize,
-    places: impl Iterator<Item = [usize; 2]>,
-) {
-    for (pixel, [x, y]) in from.chunks_exact(channels).zip(places) {
+fn put<T: Copy>(to: &mut [T], from: &[T], channels: usize, place: &Place, [x, y, step]: [u32; 3]) {
+    let width = place.shown()[0] as usize;
+    if place.is_plain(step) {
+        let at = channels * (y as usize * width + x as usize);
+        to[at..at + from.len()].copy_from_slice(from);
+        return;
+    }
+    for (pixel, [x, y]) in from.chunks_exact(channels).zip(place.pixels(x, y, step)) {
         to[channels * (y * width + x)..][..channels].copy_from_slice(pixel);
     }
 }

@@ -306,7 +306,7 @@ fn sniff(input: &Input<'_>) -> Result<Kind, Fault> {
     match head.as_slice() {
         [] => Err(Fault::NotAnImage("the file is empty".into())),
         PNG => Ok(Kind::Png),
-        [0xFF, 0xD8, 0xFF, ..] => Ok(Kind::Jpeg),
+        [0xFF, 0xD8, ..] => Ok(Kind::Jpeg),
         head if jpeg2000::begins(head) => Ok(Kind::Jpeg2000),
         [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Ok(Kind::Tiff),
         short if PNG.starts_with(short) => Err(Fault::Truncated(

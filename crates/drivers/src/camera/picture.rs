@@ -2,7 +2,7 @@
 
 pub use crate::camera::picture_error::PictureError;
 use scopeservo_scope::{Channels, Samples};
-use scopeservo_slide::{Alpha, Budget, Fault, Samples as Stored, Wanted};
+use scopeservo_slide::{Alpha, Budget, Choice, Fault, Samples as Stored, Wanted};
 
 /// No image takes more memory to unpack.
 const BUDGET: Budget = Budget { bytes: 512 << 20 };
@@ -28,9 +28,9 @@ pub struct Picture {
 /// [`PictureError`].
 pub fn decode(bytes: &[u8]) -> Result<Picture, PictureError> {
     let wanted = Wanted {
+        choice: Choice::default(),
         alpha: Alpha::Dropped,
         budget: BUDGET,
-        ..Wanted::default()
     };
     let read = scopeservo_slide::decode(bytes, &wanted).map_err(|fault| match fault {
         Fault::Truncated(_) => PictureError::Cut { bytes: bytes.len() },
