@@ -14,7 +14,7 @@ use scopeservo_drivers::camera::{
 use scopeservo_drivers::emulator::camera::{
     CameraEmulator, CameraFault, EmulatedCamera, Sending, View,
 };
-use scopeservo_scope::{Camera, Clock, ScopeError, SystemClock};
+use scopeservo_scope::{Camera, ScopeError, SystemClock};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};

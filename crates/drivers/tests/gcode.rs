@@ -430,7 +430,7 @@ link_faults! {
 fn with_words(words: fn(&str) -> Vec<u8>) -> Result<(), String> {
     let emulator = GcodeEmulator::serve(EmulatedBoard::new()).unwrap();
     let mut settings = settings();
-    settings.boot_ms = 2000;
+    settings.boot_ms = 400;
     emulator.say_as(words);
     emulator.say("start");
     let stage = connect(&emulator, &settings).map_err(|e| e.to_string())?;
