@@ -97,7 +97,7 @@ pub(crate) fn run(args: &TwinServeArgs) -> Result<bool, CliError> {
     let listener = bind(address, secret.as_ref()).map_err(failed)?;
     let at = listener.local_addr().map_err(failed)?;
     tell!("scopeservo: the simulated microscope listens on {at}; Ctrl-C ends it");
-    let told = |what: &str| tell!("scopeservo: a client was disconnected: {what}");
+    let told = |what: &str| tell!("scopeservo: {what}");
     listen(&listener, &offer, secret.as_ref(), &told).map_err(failed)?;
     Ok(true)
 }

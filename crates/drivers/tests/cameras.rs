@@ -131,10 +131,13 @@ fn sized(delimiter: &str, length: impl std::fmt::Display, picture: &[u8]) -> Vec
     [head.as_bytes(), picture, b"\r\n"].concat()
 }
 
+/// A part of a stream, of an image.
+type Part = fn(&[u8]) -> Vec<u8>;
+
 #[test]
 fn streams_are_read_as_browsers_read_them() {
     const TOLD: &str = "HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame";
-    let kinds: [(&str, fn(&[u8]) -> Vec<u8>); 9] = [
+    let kinds: [(&str, Part); 9] = [
         ("HTTP/1.1 200 OK\r\nConnection: close", |p| {
             sized("frame", p.len(), p)
         }),

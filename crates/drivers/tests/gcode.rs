@@ -426,11 +426,14 @@ link_faults! {
     },
 }
 
+/// What becomes of a board's line on its way.
+type Words = fn(&str) -> Vec<u8>;
+
 /// What a board that says its lines as `words` does comes to: the error, or nothing where it is driven to a place and back.
-fn with_words(words: fn(&str) -> Vec<u8>) -> Result<(), String> {
+fn with_words(words: Words) -> Result<(), String> {
     let emulator = GcodeEmulator::serve(EmulatedBoard::new()).unwrap();
     let mut settings = settings();
-    settings.boot_ms = 2000;
+    settings.boot_ms = 400;
     emulator.say_as(words);
     emulator.say("start");
     let stage = connect(&emulator, &settings).map_err(|e| e.to_string())?;
@@ -448,7 +451,7 @@ fn line(text: &str) -> Vec<u8> {
 
 #[test]
 fn noise_on_the_line_is_passed_over() {
-    let kinds: [fn(&str) -> Vec<u8>; 8] = [
+    let kinds: [Words; 8] = [
         |l| [b"\0", &line(l)[..]].concat(),
         |l| [l.as_bytes(), b"\0\n"].concat(),
         |l| [l.as_bytes(), b"\r\r\n"].concat(),
@@ -471,7 +474,7 @@ fn positions_of_other_firmware_are_read() {
         let steps = steps.split(' ').map(|s| &s[2..]).collect();
         Some((planned, steps))
     }
-    let kinds: [fn(&str) -> Vec<u8>; 4] = [
+    let kinds: [Words; 4] = [
         |l| match parts(l) {
             Some((planned, n)) => line(&format!(
                 "{} Count X:{} Y:{} Z:{}\n Count X:{} Y:{} Z:{}",
@@ -531,7 +534,7 @@ fn positions_of_other_firmware_are_read() {
 
 #[test]
 fn a_line_that_is_refused_is_shown() {
-    let kinds: [(fn(&str) -> Vec<u8>, &str); 6] = [
+    let kinds: [(Words, &str); 6] = [
         // Klipper, Repetier.
         (
             |l| line(l.split(" Count ").next().unwrap()),

@@ -74,7 +74,7 @@ fn virtual_marlin_is_driven_and_asks_again_for_what_it_did_not_get() {
         MARLINS,
         "sendBusy=true",
         "busyInterval=0.2",
-        r#"simulated_errors=["20:resend", "30:missing_lineno", "40:checksum_mismatch"]"#,
+        r#"simulated_errors=["20:resend", "30:checksum_mismatch", "40:resend"]"#,
     ]);
     let stage = connect(&address).unwrap();
     assert!(stage.info().name.contains("Virtual Marlin"));

@@ -143,7 +143,7 @@ impl House<'_> {
         let outcome = self.client(stream);
         self.forget(stream);
         if let Err(error) = outcome {
-            (self.told)(&error.to_string());
+            (self.told)(&format!("a client was disconnected: {error}"));
         }
     }
 

@@ -78,7 +78,11 @@ fn calibrated(times: f64) -> (Result<f64, String>, f64) {
     };
     let session = Session::new(Arc::new(scope), parts);
     let lease = session.take_lease("Ada", None).unwrap();
-    let job = CalibrateJob::new(CalibrateInput::default());
+    let input = CalibrateInput {
+        focus: None,
+        ..CalibrateInput::default()
+    };
+    let job = CalibrateJob::new(input);
     let made = session.start(&lease, job).unwrap().wait();
     let made = made.map(|out| out.made[0].calibration.um_per_px());
     let farthest_um = *farthest_m.lock().unwrap() * 1e6;

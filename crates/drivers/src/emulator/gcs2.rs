@@ -45,10 +45,7 @@ impl EmulatedStage {
             name: (*name).into(),
             low: -end,
             high: *end,
-            unit: match *name {
-                "X" | "Y" | "Z" => b"MM".to_vec(),
-                _ => b"DEG".to_vec(),
-            },
+            unit: ["DEG", "MM"][usize::from("XYZ".contains(name))].into(),
         };
         let ends = [
             ("X", 22.5),

@@ -175,7 +175,8 @@ impl Talk {
         let report = answer.report.ok_or_else(unread)?;
         if report.steps.is_empty() {
             return Err(ex.nonsense(format!(
-                "the position (M114) does not say in steps where the steppers are (Count X:0 Y:0 Z:0), by which a stop or an obstacle is seen; it is '{}'",
+                "the position (M114) does not say in steps where the steppers are (Count X:0 Y:0 Z:0), by which a stop or an obstacle is \
+                 seen; it is '{}'",
                 visible(&report.said)
             )));
         }
