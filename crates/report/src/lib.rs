@@ -35,7 +35,7 @@ mod views;
 mod work;
 
 pub use model::{
-    Context, Convergence, Failure, TrueCalibration, TrueIteration, Truth, Work, WorkEnd,
+    Context, Convergence, Failure, InUse, TrueCalibration, TrueIteration, Truth, Work, WorkEnd,
 };
 pub use page::html;
 pub use recorder::Recorder;

@@ -2,6 +2,7 @@
 
 use crate::picture::Gallery;
 use crate::timeline::Timeline;
+use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{Calibration, Verdict};
 use serde::{Deserialize, Serialize};
 
@@ -129,6 +130,30 @@ pub struct Convergence {
     pub angle_deg: f64,
 }
 
+/// A calibration that is kept and in use.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct InUse {
+    /// Name of the objective.
+    pub objective: String,
+    /// Where it lies.
+    pub file: String,
+    /// The size of a pixel.
+    pub um_per_px: f64,
+}
+
+/// Micrometres per pixel with an objective: as it was calibrated on the way, else as it is kept.
+pub(crate) fn um_per_px(
+    timeline: &Timeline<'_>,
+    context: &Context,
+    objective: Option<&ObjectiveId>,
+) -> Option<f64> {
+    let objective = objective?;
+    let made = timeline.calibration(objective).map(Calibration::um_per_px);
+    let mut kept = context.calibrations.iter();
+    let kept = kept.find(|c| c.objective == objective.0);
+    made.or(kept.map(|c| c.um_per_px))
+}
+
 /// What the page says about the run beside what happened in it. Empty texts are left out.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Context {
@@ -147,9 +172,9 @@ pub struct Context {
     /// Where the stage stood at the end, z included.
     #[serde(default)]
     pub place: String,
-    /// The calibrations that are in use: each objective, and the file.
+    /// The calibrations that are kept and in use.
     #[serde(default)]
-    pub calibrations: Vec<(String, String)>,
+    pub calibrations: Vec<InUse>,
     /// The command that made the run.
     pub command: String,
     /// Seed of everything random in a simulated run.

@@ -1,13 +1,13 @@
 //! The page as a whole.
 
-use crate::model::{Report, verdict_word, view_name};
+use crate::model::{Report, um_per_px, verdict_word, view_name};
 use crate::picture::Gallery;
 use crate::recorder::SHOWN_ITERATIONS;
 use crate::text::escape;
 use crate::timeline::Timeline;
 use crate::{Context, Recorder, Truth};
 use crate::{calibration, focus, matches, provenance, summary, views};
-use scopeservo_servo::Calibration;
+use scopeservo_scope::ObjectiveId;
 use std::fmt::Write as _;
 
 const STYLE: &str = include_str!("style.css");
@@ -17,7 +17,7 @@ const STYLE: &str = include_str!("style.css");
 /// `truth` is what a simulation knows and a microscope does not; without it the page says how the error was estimated.
 pub fn html(recorder: &Recorder, truth: Option<&Truth>, context: &Context) -> String {
     let timeline = Timeline::read(recorder.events());
-    let gallery = gallery(recorder, &timeline);
+    let gallery = gallery(recorder, &timeline, context);
     let report = Report {
         timeline,
         gallery,
@@ -77,12 +77,13 @@ pub(crate) fn whole(
 }
 
 /// The images that the page shows.
-fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
+fn gallery(recorder: &Recorder, timeline: &Timeline<'_>, context: &Context) -> Gallery {
     let mut gallery = Gallery::default();
+    let scale = |objective: Option<&ObjectiveId>| um_per_px(timeline, context, objective);
     if let Some(jpeg) = recorder.target().and_then(|t| t.jpeg()) {
         gallery.add("target", jpeg);
     }
-    let of_target = timeline.target_calibration().map(Calibration::um_per_px);
+    let of_target = scale(timeline.target_objective);
     gallery.scaled("target", of_target);
     for magnification in &timeline.magnifications {
         let frames = magnification.frames();
@@ -92,8 +93,7 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
                 && let Some(jpeg) = recorder.view(sequence)
             {
                 gallery.add(view_name(sequence), jpeg);
-                let scale = magnification.calibration.map(Calibration::um_per_px);
-                gallery.scaled(view_name(sequence), scale);
+                gallery.scaled(view_name(sequence), scale(Some(magnification.objective)));
             }
         }
     }
@@ -115,7 +115,7 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>) -> Gallery {
         };
         if let Some(jpeg) = picture.and_then(|p| p.jpeg()) {
             gallery.add(name, jpeg);
-            gallery.scaled(name, timeline.active_um_per_px());
+            gallery.scaled(name, scale(timeline.active));
         }
     }
     gallery

@@ -101,9 +101,9 @@ pub(crate) fn section(r: &Report<'_>) -> String {
     add("Specimen", &c.specimen, false);
     add("Instrument", &c.instrument, false);
     add("Stage at the end", &c.place, false);
-    for (objective, file) in &c.calibrations {
-        let name = format!("Calibration of {}", escape(objective));
-        add(&name, file, true);
+    for kept in &c.calibrations {
+        let name = format!("Calibration of {}", escape(&kept.objective));
+        add(&name, &kept.file, true);
     }
     add("Command", &c.command, true);
     add(

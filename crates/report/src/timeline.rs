@@ -108,7 +108,7 @@ pub(crate) struct Timeline<'a> {
     pub(crate) magnifications: Vec<Magnification<'a>>,
     pub(crate) outcome: Option<&'a Outcome>,
     /// The objective of the last frame.
-    active: Option<&'a ObjectiveId>,
+    pub(crate) active: Option<&'a ObjectiveId>,
     pub(crate) frames: usize,
     pub(crate) duration_s: f64,
 }
@@ -363,11 +363,6 @@ impl<'a> Timeline<'a> {
             .rev()
             .filter_map(|c| c.made.map(|m| m.0))
             .find(|c| c.objective == *objective)
-    }
-
-    /// Micrometres per pixel with the objective that was active last, where it was calibrated.
-    pub(crate) fn active_um_per_px(&self) -> Option<f64> {
-        Some(self.calibration(self.active?)?.um_per_px())
     }
 
     /// The newest calibration of the target's objective.

@@ -2,19 +2,20 @@
 
 use crate::calibration::{card, in_words};
 use crate::changes::{beside_each_other, section as changes};
-use crate::model::{Report, Work, WorkEnd, view_name};
+use crate::model::{Report, Work, WorkEnd, um_per_px, view_name};
 use crate::page::whole;
 use crate::picture::Gallery;
 use crate::summary::{DONE, REFUSED, UNFINISHED, head, sentence};
 use crate::text::{count, escape, fixed, seconds};
 use crate::timeline::{Calibrating, Timeline};
 use crate::{Context, Recorder, chain, focus, provenance};
+use scopeservo_scope::ObjectiveId;
 use std::fmt::Write as _;
 
 /// The page of a calibration or a focus, whatever came of it.
 pub fn work_html(recorder: &Recorder, end: &WorkEnd, context: &Context) -> String {
     let timeline = Timeline::read(recorder.events());
-    let gallery = gallery(recorder, &timeline, end);
+    let gallery = gallery(recorder, &timeline, end, context);
     let report = Report {
         timeline,
         gallery,
@@ -199,14 +200,19 @@ fn measured(r: &Report<'_>, end: &WorkEnd) -> String {
     out
 }
 
-fn gallery(recorder: &Recorder, timeline: &Timeline<'_>, end: &WorkEnd) -> Gallery {
+fn gallery(
+    recorder: &Recorder,
+    timeline: &Timeline<'_>,
+    end: &WorkEnd,
+    context: &Context,
+) -> Gallery {
     let mut gallery = Gallery::default();
+    let scale = |objective: Option<&ObjectiveId>| um_per_px(timeline, context, objective);
     for calibrating in &timeline.calibrations {
-        let scale = calibrating.made.map(|(made, ..)| made.um_per_px());
         for sequence in chain::shown(calibrating) {
             if let Some(jpeg) = recorder.calibration_view(sequence) {
                 gallery.add(view_name(sequence), jpeg);
-                gallery.scaled(view_name(sequence), scale);
+                gallery.scaled(view_name(sequence), scale(Some(calibrating.objective)));
             }
         }
     }
@@ -221,7 +227,7 @@ fn gallery(recorder: &Recorder, timeline: &Timeline<'_>, end: &WorkEnd) -> Galle
     };
     if let Some(jpeg) = picture.and_then(|p| p.jpeg()) {
         gallery.add(name, jpeg);
-        gallery.scaled(name, timeline.active_um_per_px());
+        gallery.scaled(name, scale(timeline.active));
     }
     gallery
 }

@@ -6,7 +6,7 @@ use crate::open_instrument::OpenInstrument;
 use crate::output;
 use crate::progress::Watcher;
 use scopeservo_library::Calibrations as _;
-use scopeservo_report::{Context, Failure, Work, WorkEnd, work_html};
+use scopeservo_report::{Context, Failure, InUse, Work, WorkEnd, work_html};
 use scopeservo_scope::Objective;
 use scopeservo_servo::ErrorKind;
 use std::time::Instant;
@@ -27,8 +27,12 @@ pub(super) fn about(opened: &OpenInstrument) -> Context {
     let gate = opened.scope.gate();
     let file = |objective: &Objective| {
         let path = opened.library.calibration_path(&objective.id).ok()??;
-        calibration_of(opened, objective).ok()??;
-        Some((objective.id.0.clone(), path.display().to_string()))
+        let kept = calibration_of(opened, objective).ok()??;
+        Some(InUse {
+            objective: objective.id.0.clone(),
+            file: path.display().to_string(),
+            um_per_px: kept.calibration.um_per_px(),
+        })
     };
     Context {
         date: output::date(),

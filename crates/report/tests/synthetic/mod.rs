@@ -3,7 +3,9 @@
 #![allow(dead_code, reason = "each user of this module needs a part of it")]
 
 use scopeservo_geometry::{Affine2, Mat2};
-use scopeservo_report::{Context, Convergence, Recorder, TrueCalibration, TrueIteration, Truth};
+use scopeservo_report::{
+    Context, Convergence, InUse, Recorder, TrueCalibration, TrueIteration, Truth,
+};
 use scopeservo_scope::{
     Angle, Channels, Frame, Length, ObjectiveId, Samples, StagePose, Timestamp,
 };
@@ -499,7 +501,11 @@ pub(crate) fn context() -> Context {
         date: "2026-11-27 04:22 UTC".into(),
         target: "mitosis-3, saved 2026-11-24 on upstairs".into(),
         place: "x = 12.00 um, z = -3.10 um, rotation about z = 0.50 deg".into(),
-        calibrations: vec![("400x".into(), "calibrations/400x/000002.json".into())],
+        calibrations: vec![InUse {
+            objective: "400x".into(),
+            file: "calibrations/400x/000002.json".into(),
+            um_per_px: 0.5,
+        }],
         command: "scopeservo demo --seed 7 --report run.html".into(),
         seed: Some(7),
         version: "scopeservo 0.1.0".into(),
