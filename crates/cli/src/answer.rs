@@ -3,8 +3,8 @@
 //! People read lines on stdout as they come; programs (`--json`) read one object there at the end. What went wrong without ending the
 //! command is a warning: on stderr at once, and in the object. A reader who has gone changes nothing: not the work, not the exit code.
 
+use crate::bar::beside;
 use crate::error::{CliError, Code};
-use crate::progress::beside;
 use serde_json::{Map, Value, json};
 use std::fmt;
 use std::io::{self, ErrorKind, Write};
@@ -26,7 +26,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 macro_rules! tell {
     ($($arg:tt)*) => {{
         use std::io::Write as _;
-        let _ = crate::progress::beside(|| writeln!(std::io::stderr(), $($arg)*));
+        let _ = crate::bar::beside(|| writeln!(std::io::stderr(), $($arg)*));
     }};
 }
 

@@ -2,10 +2,10 @@
 
 use crate::answer::Answer;
 use crate::args::{ObjectiveArgs, SnapArgs, StatusArgs};
+use crate::bar;
 use crate::beginning;
 use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
-use crate::progress;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder as _};
 use scopeservo_library::files::{try_folder, write_new};
@@ -190,9 +190,9 @@ pub(crate) fn objective(args: &ObjectiveArgs, answer: &Answer) -> Result<bool, C
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.tell_what_waits(answer);
     opened.scope.objective(&id)?;
-    let bar = progress::spinner(format!("changing to {id}"));
+    let shown = bar::spinner(format!("changing to {id}"));
     let changed = opened.scope.select_objective(&id);
-    bar.finish_and_clear();
+    shown.finish_and_clear();
     if let Err(error) = changed {
         beginning::tell(&opened.scope, answer);
         return Err(error.into());

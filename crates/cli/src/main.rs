@@ -9,6 +9,7 @@
 mod answer;
 mod args;
 mod asking;
+mod bar;
 mod beginning;
 mod bench;
 mod calibrations;

@@ -3,11 +3,12 @@
 use crate::answer::Answer;
 use crate::args::InstrumentArgs;
 use crate::asking;
+use crate::bar;
 use crate::beginning;
 use crate::console::{Console, Late, Told};
 use crate::error::{CliError, Code};
 use crate::journal::{self, Asked, FileJournal, Made};
-use crate::progress::{self, Watcher};
+use crate::progress::Watcher;
 use scopeservo_library::{
     Cameras as _, Folder, Journal as _, Journalled, Nosepieces as _, RunHead, RunLog, Runs as _,
 };
@@ -101,9 +102,9 @@ impl OpenInstrument {
     }
 
     fn connected(args: &InstrumentArgs, answer: &Answer) -> Result<(Self, Consent), CliError> {
-        let bar = progress::spinner("opening the instrument".into());
+        let shown = bar::spinner("opening the instrument".into());
         let opened = Self::connect(args, answer);
-        bar.finish_and_clear();
+        shown.finish_and_clear();
         opened
     }
 

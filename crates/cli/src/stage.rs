@@ -2,9 +2,9 @@
 
 use crate::answer::Answer;
 use crate::args::{PlaceArgs, StageGoArgs};
+use crate::bar;
 use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
-use crate::progress;
 use scopeservo_protocol::Place;
 use scopeservo_scope::{Axis, StagePose};
 use serde_json::json;
@@ -39,7 +39,7 @@ pub(crate) fn go(args: &StageGoArgs, answer: &Answer) -> Result<bool, CliError> 
     opened.tell_what_waits(answer);
     let gate = opened.scope.gate();
     let from = gate.position()?;
-    let bar = progress::spinner(format!("on the way to {to}"));
+    let bar = bar::spinner(format!("on the way to {to}"));
     let at = std::thread::scope(|s| {
         let (done, ended) = mpsc::channel::<()>();
         let bar = &bar;

@@ -132,12 +132,9 @@ impl fmt::Display for StagePose {
         let mut between = "";
         for axis in Axis::ALL {
             if let Some(si) = self.si(axis) {
-                write!(
-                    f,
-                    "{between}{axis} = {:.2} {}",
-                    axis.to_display(si),
-                    axis.display_unit()
-                )?;
+                // Nothing has no sign.
+                let shown = (axis.to_display(si) * 100.0).round() / 100.0 + 0.0;
+                write!(f, "{between}{axis} = {shown:.2} {}", axis.display_unit())?;
                 between = ", ";
             }
         }
@@ -148,6 +145,20 @@ impl fmt::Display for StagePose {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_place_that_is_nearly_nothing_is_shown_without_a_sign() {
+        for (um, shown) in [
+            (-0.001, "0.00"),
+            (-0.0, "0.00"),
+            (0.004, "0.00"),
+            (-0.006, "-0.01"),
+            (-3.1, "-3.10"),
+        ] {
+            let pose = StagePose::default().with_si(Axis::X, um * 1e-6);
+            assert_eq!(pose.to_string(), format!("x = {shown} um"));
+        }
+    }
 
     #[test]
     fn every_axis_is_set_and_read_in_si_units() {

@@ -102,8 +102,21 @@ impl From<&ObjectiveConfig> for Objective {
     }
 }
 
+/// Whether the objectives that a driver's nosepiece says it carries are told apart.
+pub(crate) fn all_apart(config: &Config, carried: &[Objective]) -> Result<(), SetupError> {
+    for (k, objective) in carried.iter().enumerate() {
+        let fault = objective.check().map_err(|e| e.to_string());
+        let fault = fault.and_then(|()| told_apart(&carried[..k], objective));
+        fault.map_err(|what| {
+            let driver = &config.devices.nosepiece;
+            config.senseless(&["drivers", driver], format!("drivers.{driver}: {what}"))
+        })?;
+    }
+    Ok(())
+}
+
 /// Whether an objective is another one than those `before` it: by its name, as files are called after it, and by what is engraved.
-pub(crate) fn told_apart(before: &[Objective], objective: &Objective) -> Result<(), String> {
+fn told_apart(before: &[Objective], objective: &Objective) -> Result<(), String> {
     let id = &objective.id.0;
     if id.trim().is_empty() || before.iter().any(|o| o.id == objective.id) {
         return Err(format!("the objective '{id}' needs a name of its own"));

@@ -11,6 +11,7 @@ mod config;
 mod error;
 mod held;
 mod open;
+mod reading;
 mod rules;
 mod simulated;
 mod spelled;

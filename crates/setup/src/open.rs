@@ -2,7 +2,7 @@
 
 use crate::SetupError;
 use crate::by_hand::{Ask, ByHand};
-use crate::check::told_apart;
+use crate::check::all_apart;
 use crate::config::{Config, DriverConfig};
 use crate::held::Held;
 use crate::rules::rules;
@@ -129,14 +129,7 @@ pub fn connect(
         ),
     };
     let carried = nosepiece.objectives();
-    for (k, objective) in carried.iter().enumerate() {
-        let fault = objective.check().map_err(|e| e.to_string());
-        let fault = fault.and_then(|()| told_apart(&carried[..k], objective));
-        fault.map_err(|what| {
-            let driver = &devices.nosepiece;
-            config.senseless(&["drivers", driver], format!("drivers.{driver}: {what}"))
-        })?;
-    }
+    all_apart(config, carried)?;
     let rules = rules(config, stage.info(), carried)?;
     // What is wrong with the rules is said before anything moves.
     let devices = Devices {

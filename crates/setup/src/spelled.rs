@@ -69,7 +69,9 @@ fn look(value: &Spanned<DeValue<'_>>, schema: &Value, text: &str) -> Result<(), 
         DeValue::String(said) => match is_garbled_path(said, &text[value.span()]) {
             true => Err(wrong(
                 value.span(),
-                format!("this reads as {said:?}{ESCAPES}"),
+                format!(
+                    "this reads as {said:?}{ESCAPES}. What is meant to read so stands between three double quotes"
+                ),
             )),
             false => Ok(()),
         },
