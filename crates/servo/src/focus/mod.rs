@@ -19,6 +19,7 @@ mod point;
 mod sample;
 mod search;
 mod sharpness;
+mod stale;
 mod state;
 
 use crate::event::tell;
@@ -111,7 +112,7 @@ impl Focus {
             search::Decision::Look => Ok(Progress::Continue),
             search::Decision::Nothing => {
                 scope.return_to_height(Length::from_um(start_um))?;
-                Err(self.no_focus())
+                Err(self.nothing_found(scope, sink)?)
             }
             search::Decision::There(sigma_um) => Ok(Progress::Done(self.found(scope, sigma_um))),
         }

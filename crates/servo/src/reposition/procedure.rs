@@ -4,8 +4,10 @@ use super::{
     Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Shortest, SoFar, Verdict,
 };
 mod ending;
+mod recover;
 
 use super::{ahead, parcentric, words};
+use crate::attempt::Tried;
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
 use crate::servo::watch::Watch;
@@ -20,6 +22,7 @@ use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Settings of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -85,6 +88,12 @@ pub struct Reposition {
     /// What was seen of the instrument.
     #[serde(default)]
     remarks: Vec<Remark>,
+    /// What was tried between loops.
+    #[serde(default)]
+    tried: Tried,
+    /// How the camera exposed before the run changed that.
+    #[serde(default)]
+    exposure_before: Option<Duration>,
 }
 
 impl Reposition {
@@ -103,6 +112,8 @@ impl Reposition {
             began: None,
             watch: Watch::default(),
             remarks: Vec::new(),
+            tried: Tried::default(),
+            exposure_before: None,
         }
     }
 
@@ -196,9 +207,14 @@ impl Reposition {
 
     /// Begins a leg, whatever was under way before.
     fn bring(&mut self, leg: Leg) {
+        let focus = self.options.focus.clone();
+        self.bring_within(leg, focus);
+    }
+
+    fn bring_within(&mut self, leg: Leg, focus: FocusOptions) {
         let bring = Bring::new(
             leg.objective().clone(),
-            Some(self.options.focus.clone()),
+            Some(focus),
             self.options.vision.clone(),
         );
         let work = Work::Bring(Box::new(bring));
@@ -319,7 +335,7 @@ impl Reposition {
                     end: end.clone(),
                 });
                 self.go_back(scope, &end)?;
-                Ok(self.servoed(scope, &target, (leg, &end), seen))
+                self.servoed(scope, sink, &target, (leg, &end), seen)
             }
             Work::Identify(identify) => {
                 let seen = identify.step(scope, sink);
@@ -408,16 +424,13 @@ impl Procedure for Reposition {
     ) -> Result<Progress<Outcome>, ServoError> {
         let ended = match self.advance(scope, sink) {
             Ok(ended) => ended,
-            Err(error) if self.went_astray(scope, &error)? => None,
-            Err(error) => {
-                self.withdraw(scope, &error)?;
-                Some(self.answer(error)?)
-            }
+            Err(error) => self.failed(scope, sink, error)?,
         };
         Ok(match ended {
             None => Progress::Continue,
             Some(outcome) => {
                 self.state = State::Ended;
+                self.exposes_as_before(scope);
                 let event = Event::Finished {
                     outcome: outcome.clone(),
                 };

@@ -1,6 +1,7 @@
 //! The convergence test: when a loop has arrived, and when it gives up.
 
 use super::criteria::Criteria;
+use super::scatter::{Scatter, Spread};
 use crate::proof::Drift;
 use crate::{PoseError, ServoEnd, ServoError, ServoOptions, ServoResult};
 use scopeservo_registration::NotFound;
@@ -29,8 +30,10 @@ pub(crate) struct Measured {
 pub(crate) enum Standing {
     /// Not there: the stage moves.
     Outside,
-    /// Inside, to be confirmed by the next frame from the same place.
+    /// To be confirmed by the next frame from the same place.
     Inside,
+    /// Not there, like the moves before, which came no nearer; with the end that this is where nothing is left to try.
+    Scattered(Spread, ServoEnd),
     /// The loop is over.
     Ended(ServoEnd),
 }
@@ -49,7 +52,24 @@ pub(crate) struct Convergence {
     pub(crate) nearly: usize,
     /// The last frame, while nothing moved since.
     resting: Option<Measured>,
+    /// A drift is waited for until then, on the instrument's clock.
+    #[serde(default)]
+    pub(crate) settles_until_s: Option<f64>,
+    /// How moves end.
+    #[serde(default)]
+    pub(crate) scatter: Scatter,
+    /// Frames to be looked at before the next move; `None` until moves come no nearer.
+    #[serde(default)]
+    rests: Option<u8>,
+    /// Moves come no nearer than this.
+    #[serde(default)]
+    pub(crate) spread: Option<Spread>,
 }
+
+/// So many frames show whether what comes no nearer drifts.
+const RESTS: u8 = 3;
+/// While a drift is waited for it is looked at so many times more seldom.
+const SELDOM: f64 = 2.0;
 
 impl Convergence {
     /// Whether the target was seen at all.
@@ -66,11 +86,13 @@ impl Convergence {
         let Some(before) = self.resting.filter(|_| criteria.is_arrival) else {
             return Ok(());
         };
-        let until = before.time_s + criteria.options.confirmation_s;
+        let times = self.settles_until_s.map_or(1.0, |_| SELDOM);
+        let rest_s = times * criteria.options.confirmation_s;
+        let until = before.time_s + rest_s;
         loop {
             let left = until - scope.clock().now().seconds();
             // A clock that was started anew after a kill knows nothing of the frame before.
-            if left > criteria.options.confirmation_s {
+            if left > rest_s {
                 self.passed.clear();
                 (self.resting, self.drift) = (None, Drift::default());
                 return Ok(());
@@ -91,6 +113,7 @@ impl Convergence {
         now: Measured,
         passes: bool,
     ) -> Standing {
+        let moved = self.resting.is_none();
         if let Some(um_per_s) = self.drifts(criteria, now) {
             let last = self.result(now);
             return Standing::Ended(ServoEnd::Drifting { um_per_s, last });
@@ -102,6 +125,9 @@ impl Convergence {
         }
         if passes {
             self.passed.push(now);
+        }
+        if moved && criteria.is_arrival {
+            self.scatter.take(now);
         }
         if self.passed.len() >= criteria.options.confirmations.max(1) {
             let error = mean(&self.passed);
@@ -120,7 +146,27 @@ impl Convergence {
         } else if passes {
             Standing::Inside
         } else {
-            Standing::Outside
+            self.outside(criteria, now)
+        }
+    }
+
+    /// Not there: whether moves still come nearer. Where they do not, a drift may be why, and is looked for first.
+    fn outside(&mut self, criteria: &Criteria<'_>, now: Measured) -> Standing {
+        let stays = self.scatter.stays().filter(|_| criteria.scatter.is_some());
+        match (stays, self.rests) {
+            (_, Some(left @ 1..)) => {
+                self.rests = Some(left - 1);
+                Standing::Inside
+            }
+            (None, _) => Standing::Outside,
+            (Some(_), None) => {
+                self.rests = Some(RESTS);
+                Standing::Inside
+            }
+            (Some(spread), Some(_)) => {
+                let end = criteria.scattered(&spread, &self.result(now));
+                Standing::Scattered(spread, end)
+            }
         }
     }
 
@@ -175,6 +221,7 @@ impl Convergence {
     /// Divergence counts from the next frame on.
     pub(crate) fn begin_anew(&mut self) {
         self.first = None;
+        self.scatter.clear();
     }
 
     /// What is known with the frame `now`.

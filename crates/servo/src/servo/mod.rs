@@ -16,8 +16,10 @@ pub(crate) mod options;
 mod pixels;
 pub(crate) mod promise;
 mod reach;
+mod recover;
 pub(crate) mod refit;
 pub(crate) mod run;
+mod scatter;
 mod sight;
 mod state;
 mod take_over;
@@ -25,7 +27,6 @@ pub(crate) mod task;
 mod turning;
 pub(crate) mod watch;
 
-use crate::one_side::move_from_one_side;
 use crate::vision::grab;
 use crate::{FrameRole, Progress, ServoEnd, ServoError, ServoTask, Sink, event::tell};
 use belief::Belief;
@@ -92,16 +93,11 @@ impl Servo {
         }
         // Stage: Eq. (5). A frame that passes is confirmed by the next one from the same place.
         let measured = sight.measured(&located, task);
-        match self.convergence.take(&test, measured, passes) {
-            Standing::Ended(end) => return Ok(Progress::Done(end)),
+        let standing = self.convergence.take(&test, measured, passes);
+        match self.unless_tried(task, scope, sink, &test, standing) {
+            Standing::Ended(end) | Standing::Scattered(_, end) => return Ok(Progress::Done(end)),
             Standing::Inside => {}
-            Standing::Outside => {
-                let velocity = task.velocity(&located.pose, test.turns);
-                let velocity = self.watch.limited(velocity, task.view_calibration);
-                let goal = sight.goal(&velocity);
-                self.moving(task, scope, &test, (&sight, &located), (&velocity, &goal));
-                move_from_one_side(scope, &present, &goal, task.view_calibration)?;
-            }
+            Standing::Outside => self.go_on(task, scope, &test, (&sight, &located))?,
         }
         self.convergence.iteration += 1;
         Ok(Progress::Continue)

@@ -1,6 +1,6 @@
 //! What moves say of a calibration that does not quite hold: how far scale, camera angle and rotation centre are off.
 
-use crate::{Calibration, Known};
+use crate::{Attempt, Calibration, Known};
 use scopeservo_geometry::{Mat2, Vec2, cholesky_inverse};
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
@@ -42,6 +42,14 @@ pub enum Remark {
         objective: ObjectiveId,
         /// The scale that was seen over the one that was expected.
         factor: f64,
+    },
+    /// Something was tried where the run could not go on as it was.
+    Tried {
+        /// The objective that was in.
+        objective: ObjectiveId,
+        /// What.
+        #[serde(flatten)]
+        attempt: Attempt,
     },
     /// A move did not do what it was to do, and the next one did.
     Contradicted {

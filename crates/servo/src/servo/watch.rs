@@ -2,7 +2,8 @@
 
 use super::promise::{DRIFTED_CENTRE_M, Kept, Mover, Promise};
 use super::refit::{Refit, Remark};
-use crate::{Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity};
+use crate::attempt::Tried;
+use crate::{Attempt, Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity};
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -53,6 +54,9 @@ pub(crate) struct Watch {
     /// What was seen of the instrument, and went on.
     #[serde(default)]
     remarks: Vec<Remark>,
+    /// What loops tried in this run.
+    #[serde(default)]
+    tried: Tried,
 }
 
 /// A small step moves the view by this share of its shorter side: x and y of the stage by these shares of it, which are not the same.
@@ -75,6 +79,7 @@ impl Watch {
             // Where it went back before, it goes on in small steps.
             trust: self.trust.after_a_change(),
             refit: Refit::doubting(self.is_wary()),
+            tried: self.tried,
             ..Self::default()
         }
     }
@@ -152,6 +157,18 @@ impl Watch {
         let objective = objective.clone();
         self.remarks
             .push(Remark::ScalesDisagree { objective, factor });
+    }
+
+    /// Takes an attempt; whether it is the first of its kind.
+    pub(crate) fn tries(&mut self, objective: &ObjectiveId, attempt: &Attempt) -> bool {
+        let first = self.tried.first(attempt);
+        if first {
+            self.remarks.push(Remark::Tried {
+                objective: objective.clone(),
+                attempt: attempt.clone(),
+            });
+        }
+        first
     }
 
     /// What was seen of the instrument, as it is known now, in the order in which it was seen.

@@ -1,0 +1,127 @@
+//! Moves that come no nearer: how they scatter about the goal.
+
+use super::convergence::Measured;
+use serde::{Deserialize, Serialize};
+
+/// So many moves in a row tell.
+const MOVES: usize = 8;
+/// They come nearer where the later half is off by less than this share of the earlier one.
+const NEARER: f64 = 0.6;
+/// A mean that is off by more than so many of its standard deviations is no scatter, but a way.
+const ONE_SIDED: f64 = 3.0;
+
+/// What was seen after each move, the last ones.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Scatter(Vec<Measured>);
+
+/// How moves end.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Spread {
+    /// The view's distance from the middle of all, root mean square, um.
+    pub(crate) um: f64,
+    /// Its angle, standard deviation, deg.
+    pub(crate) deg: f64,
+    /// How far that middle is from the goal, um and deg.
+    pub(crate) middle: [f64; 2],
+}
+
+impl Spread {
+    /// Whether the middle of all is the goal, to within a tolerance and what is not known of it.
+    pub(crate) fn is_about_the_goal(&self, tolerance: [f64; 2]) -> bool {
+        let unsure = ONE_SIDED / (MOVES as f64).sqrt();
+        self.middle[0] <= tolerance[0] + unsure * self.um
+            && self.middle[1] <= tolerance[1] + unsure * self.deg
+    }
+}
+
+impl Scatter {
+    /// Takes the first frame after a move.
+    pub(crate) fn take(&mut self, now: Measured) {
+        if self.0.len() == MOVES {
+            self.0.remove(0);
+        }
+        self.0.push(now);
+    }
+
+    /// Counts anew.
+    pub(crate) fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// How the last moves ended, where there were enough and they came no nearer.
+    pub(crate) fn stays(&self) -> Option<Spread> {
+        if self.0.len() < MOVES {
+            return None;
+        }
+        let (early, late) = self.0.split_at(MOVES / 2);
+        let far = |all: &[Measured]| rms(all.iter().map(|m| m.error.distance_um()));
+        let turned = |all: &[Measured]| rms(all.iter().map(|m| m.error.angle_deg()));
+        if far(late) < NEARER * far(early) || turned(late) < NEARER * turned(early) {
+            return None;
+        }
+        let mean =
+            |of: &dyn Fn(&Measured) -> f64| self.0.iter().map(of).sum::<f64>() / MOVES as f64;
+        let [x, y] = [0, 1].map(|k| mean(&|m| m.error.t_um()[k]));
+        let angle = mean(&|m| m.error.angle_deg());
+        let off = |m: &Measured| {
+            let [a, b] = m.error.t_um();
+            f64::hypot(a - x, b - y)
+        };
+        let freedom = (MOVES as f64 / (MOVES - 1) as f64).sqrt();
+        Some(Spread {
+            um: freedom * rms(self.0.iter().map(off)),
+            deg: freedom * rms(self.0.iter().map(|m| m.error.angle_deg() - angle)),
+            middle: [f64::hypot(x, y), angle.abs()],
+        })
+    }
+}
+
+fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len().max(1) as f64;
+    (values.map(|v| v * v).sum::<f64>() / count).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::PoseError;
+
+    fn after(moves: &[[f64; 3]]) -> Option<Spread> {
+        let mut scatter = Scatter::default();
+        for [x_um, y_um, deg] in moves {
+            scatter.take(Measured {
+                error: PoseError {
+                    t_m: [x_um * 1e-6, y_um * 1e-6],
+                    theta_rad: deg.to_radians(),
+                },
+                sigma_um: 0.01,
+                sigma_deg: 0.001,
+                inliers: 50,
+                time_s: 0.0,
+            });
+        }
+        scatter.stays()
+    }
+
+    #[test]
+    fn what_comes_nearer_is_no_scatter_and_what_stays_has_its_spread() {
+        let nearer: Vec<_> = (0..8).map(|k| [100.0 * 0.8f64.powi(k), 0.0, 0.0]).collect();
+        assert_eq!(after(&nearer), None);
+        let about = |middle: f64| -> Vec<[f64; 3]> {
+            let ways = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
+            let all = ways.iter().chain(&ways);
+            all.map(|[x, y]| [middle + 2.0 * x, 2.0 * y, 0.001 * x])
+                .collect()
+        };
+        assert_eq!(after(&about(0.0)[..7]), None, "too few");
+        let spread = after(&about(0.0)).unwrap();
+        assert!(
+            (spread.um - 2.0 * (8f64 / 7.0).sqrt()).abs() < 1e-6,
+            "{spread:?}"
+        );
+        assert!(spread.middle[0] < 1e-9 && spread.is_about_the_goal([0.4, 0.01]));
+        let beside = after(&about(10.0)).unwrap();
+        assert!((beside.middle[0] - 10.0).abs() < 1e-6, "{beside:?}");
+        assert!(!beside.is_about_the_goal([0.4, 0.01]));
+    }
+}

@@ -1,0 +1,294 @@
+//! What a run tries, once each, before it gives up: told, bounded, and put back.
+
+mod common;
+
+use common::{Bench, PLACE_UM, bench_over, one_objective, options};
+use scopeservo_scope::{Axis, Frame, Length, StagePose};
+use scopeservo_servo::{
+    Attempt, Calibrate, Calibration, Contradiction, Event, FrameRole, LimitedBy, NoSink, Outcome,
+    Reason, Remark, Reposition, ServoEnd, Sink, Stamped, Verdict, VisionOptions, run,
+};
+use scopeservo_twin::specimen::Tissue;
+use scopeservo_twin::{StageConfig, StageFault, Twin};
+use std::sync::{Arc, OnceLock};
+
+fn turntable() -> Bench {
+    let config = one_objective().with_stage(StageConfig::xyz_theta());
+    bench_over(config, Arc::new(Tissue::new(7)), Vec::new())
+}
+
+/// That of every bench here.
+fn calibration() -> &'static Calibration {
+    static MADE: OnceLock<Calibration> = OnceLock::new();
+    MADE.get_or_init(|| {
+        let bench = turntable();
+        bench.save();
+        let objective = bench.scope.gate().objectives()[0].clone();
+        let mut calibrate =
+            Calibrate::new(objective, options().calibrate, VisionOptions::default());
+        run(&mut calibrate, &bench.scope, &mut NoSink).unwrap()
+    })
+}
+
+/// Does something at each event.
+struct Acts<F: FnMut(&Stamped)>(F);
+
+impl<F: FnMut(&Stamped)> Sink for Acts<F> {
+    fn event(&mut self, stamped: Stamped) {
+        (self.0)(&stamped);
+    }
+    fn frame(&mut self, _: &Frame, _: FrameRole) {}
+}
+
+/// What a run came to.
+struct Ended {
+    outcome: Outcome,
+    attempts: Vec<Attempt>,
+    /// How far the view truly is from the target, um and deg.
+    off: (f64, f64),
+    iterations: usize,
+    seconds: f64,
+    bench: Bench,
+}
+
+/// Saves, puts the slide back elsewhere, and comes back; `before` does something first, and `on` at each event.
+fn come_back(
+    calibration: &Calibration,
+    before: impl Fn(&Bench),
+    mut on: impl FnMut(&Twin, &Stamped),
+) -> Ended {
+    let bench = turntable();
+    let (target, truth) = bench.save();
+    bench.twin.remount(PLACE_UM, [38.0, -45.0], 3.0, false);
+    before(&bench);
+    let known = [(calibration.objective.clone(), calibration.clone())];
+    let mut reposition = Reposition::new(target, options()).with_calibrations(known);
+    let (mut iterations, mut told) = (0, Vec::new());
+    let began = bench.scope.clock().now().seconds();
+    let outcome = run(
+        &mut reposition,
+        &bench.scope,
+        &mut Acts(|stamped| {
+            match &stamped.event {
+                Event::Iteration { .. } => iterations += 1,
+                Event::Remarked {
+                    remark: Remark::Tried { attempt, .. },
+                } => told.push(attempt.clone()),
+                _ => {}
+            }
+            on(&bench.twin, stamped);
+        }),
+    )
+    .unwrap();
+    let attempts: Vec<Attempt> = outcome.remarks.iter().filter_map(tried).collect();
+    assert_eq!(attempts, told, "all that is in the answer was told");
+    println!(
+        "{:?} {attempts:?} {:?} {iterations} {}",
+        outcome.verdict,
+        bench.error_from(&truth),
+        outcome.message
+    );
+    Ended {
+        attempts,
+        off: bench.error_from(&truth),
+        iterations,
+        seconds: bench.scope.clock().now().seconds() - began,
+        outcome,
+        bench,
+    }
+}
+
+fn tried(remark: &Remark) -> Option<Attempt> {
+    match remark {
+        Remark::Tried { attempt, .. } => Some(attempt.clone()),
+        _ => None,
+    }
+}
+
+fn is_back(ended: &Ended) {
+    let (um, deg) = ended.off;
+    assert_eq!(
+        ended.outcome.verdict,
+        Verdict::Arrived,
+        "{}",
+        ended.outcome.message
+    );
+    assert!(
+        um < 1.2 && deg < 0.02,
+        "{um} {deg}: {}",
+        ended.outcome.message
+    );
+}
+
+#[test]
+fn a_view_too_dark_or_too_bright_is_exposed_anew_and_the_camera_put_back() {
+    let exposed = |bench: &Bench| bench.scope.camera().exposure().unwrap();
+    for times in [0.004, 0.02, 8.0, 40.0] {
+        let was = exposed(&turntable());
+        let wrong = was.mul_f64(times);
+        let ended = come_back(
+            calibration(),
+            |bench| {
+                bench.scope.camera().set_exposure(wrong).unwrap();
+            },
+            |_, _| {},
+        );
+        is_back(&ended);
+        let [Attempt::ExposureAdapted { from_ms, to_ms }] = ended.attempts[..] else {
+            panic!("{times}: {:?}", ended.attempts);
+        };
+        let ms = |t: std::time::Duration| 1e3 * t.as_secs_f64();
+        assert!((from_ms - ms(wrong)).abs() < 1e-6, "{from_ms}");
+        // To within what the eye would call the same light.
+        assert!((0.5..2.0).contains(&(to_ms / ms(was))), "{times}: {to_ms}");
+        assert_eq!(exposed(&ended.bench), wrong, "as it was found");
+    }
+    let ended = come_back(calibration(), |_| {}, |_, _| {});
+    is_back(&ended);
+    assert_eq!(ended.attempts, []);
+}
+
+#[test]
+fn a_view_that_drifts_and_settles_is_waited_for_and_one_that_does_not_is_refused() {
+    let drift = |um_per_s: [f64; 2]| {
+        let [x, y] = um_per_s;
+        StageFault::Drift {
+            um_per_s: [x, y, 0.0],
+        }
+    };
+    for um_per_s in [[1.5, 0.0], [-1.0, 2.0], [0.0, -4.0]] {
+        let mut since = None;
+        let ended = come_back(
+            calibration(),
+            |bench| {
+                bench.twin.fault(drift(um_per_s));
+            },
+            |twin, stamped| {
+                if let Event::Remarked { .. } = stamped.event {
+                    since.get_or_insert(stamped.time_s);
+                }
+                if since.is_some_and(|since| stamped.time_s > since + 6.0) {
+                    twin.fault(drift([0.0; 2]));
+                }
+            },
+        );
+        is_back(&ended);
+        let [Attempt::DriftWaitedFor { um_per_s: seen }] = ended.attempts[..] else {
+            panic!("{um_per_s:?}: {:?}", ended.attempts);
+        };
+        let truly = um_per_s[0].hypot(um_per_s[1]);
+        assert!((seen / truly - 1.0).abs() < 0.3, "{um_per_s:?}: {seen}");
+        let ended = come_back(
+            calibration(),
+            |bench| {
+                bench.twin.fault(drift(um_per_s));
+            },
+            |_, _| {},
+        );
+        assert_eq!(
+            ended.outcome.reason,
+            Reason::Drifting,
+            "{}",
+            ended.outcome.message
+        );
+        assert_eq!(ended.attempts.len(), 1, "{:?}", ended.attempts);
+        assert!(ended.seconds < 60.0, "{}", ended.seconds);
+    }
+}
+
+#[test]
+fn play_that_no_calibration_knows_is_taken_up_from_below() {
+    let unaware = Calibration {
+        backlash: None,
+        ..calibration().clone()
+    };
+    for play_um in [8.0, 20.0, 40.0] {
+        let ended = come_back(
+            &unaware,
+            |bench| {
+                for axis in [Axis::X, Axis::Y] {
+                    let si = play_um * 1e-6;
+                    bench.twin.fault(StageFault::Backlash { axis, si });
+                }
+            },
+            |_, _| {},
+        );
+        is_back(&ended);
+        assert!(ended.iterations <= 24, "{play_um}: {}", ended.iterations);
+    }
+}
+
+#[test]
+fn a_view_that_shakes_ends_early_with_what_was_measured() {
+    for um in [0.5, 1.0, 2.0, 5.0] {
+        let ended = come_back(
+            calibration(),
+            |bench| {
+                bench.twin.fault(StageFault::Vibration { um });
+            },
+            |_, _| {},
+        );
+        assert!(ended.iterations < 50, "{um}: {}", ended.iterations);
+        match ended.outcome.verdict {
+            Verdict::Arrived => {
+                let claimed = ended.outcome.estimated_error_um.unwrap();
+                assert!(ended.off.0 <= 1.0 + claimed, "{um}: {:?}", ended.off);
+            }
+            _ => assert!(
+                matches!(
+                    ended.outcome.reason,
+                    Reason::OutsideTolerance | Reason::Drifting
+                ),
+                "{um}: {}",
+                ended.outcome.message
+            ),
+        }
+    }
+    let _ = LimitedBy::Repeatability;
+}
+
+#[test]
+fn a_focus_beyond_the_usual_range_is_looked_for_once_more() {
+    for lower_um in [260.0, 330.0, 420.0] {
+        let ended = come_back(
+            calibration(),
+            |bench| {
+                let at = bench.scope.gate().position().unwrap();
+                let side = bench.scope.gate().info().positive_z;
+                let z = side.away(at.si(Axis::Z).unwrap(), -lower_um * 1e-6);
+                let to = StagePose {
+                    z: Some(Length::from_m(z)),
+                    ..StagePose::default()
+                };
+                bench.scope.move_to(&to).unwrap();
+            },
+            |_, _| {},
+        );
+        is_back(&ended);
+        assert!(
+            matches!(ended.attempts[..], [Attempt::FocusWidened { .. }]),
+            "{lower_um}: {:?}",
+            ended.attempts
+        );
+    }
+}
+
+#[test]
+fn images_that_come_late_are_told_whether_the_focus_or_a_move_shows_it() {
+    for frames in [1, 2, 3, 5] {
+        let ended = come_back(
+            calibration(),
+            |bench| {
+                bench.twin.fault(StageFault::StaleFrames(frames));
+            },
+            |_, _| {},
+        );
+        let why = match ended.outcome.magnifications.last().map(|m| &m.end) {
+            Some(ServoEnd::Contradicted { why, .. }) => Some(*why),
+            _ => None,
+        };
+        let late = ended.outcome.reason == Reason::StaleImages
+            || why == Some(Contradiction::Late(frames as u8));
+        assert!(late, "{frames}: {}", ended.outcome.message);
+    }
+}
