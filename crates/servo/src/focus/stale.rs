@@ -4,7 +4,7 @@ use super::levels::Plane;
 use super::state::Focus;
 use crate::vision::grab;
 use crate::{FrameRole, ServoError, Sink};
-use scopeservo_scope::{Instrument, ScopeError};
+use scopeservo_scope::{Instrument, Length, ScopeError};
 
 /// So many images are looked at while nothing moves.
 const LOOKS: usize = 12;
@@ -14,13 +14,24 @@ const SAME: usize = 4;
 const DIFFERS: f64 = 2.0;
 
 impl Focus {
-    /// What a sweep without a focus has to answer. The stage has just gone back to where the sweep began, far from its last look, and stands:
-    /// images that change now, and then no more, are old ones.
+    /// What a sweep without a focus has to answer, with the stage back where the sweep began. Images that go on changing there, and then no more,
+    /// are old ones: so it goes once more to the end that is farther, which does not look the same, and back.
     pub(super) fn nothing_found(
         &self,
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<ServoError, ServoError> {
+        let start_um = self.start_um.unwrap_or(f64::NAN);
+        let way = |z_um: f64| (z_um - start_um).abs();
+        let ends = [self.samples.first(), self.samples.last()];
+        let ends = ends.into_iter().flatten().map(|s| s.z_um);
+        if let Some(end_um) = ends.max_by(|a, b| way(*a).total_cmp(&way(*b))) {
+            Self::go(scope, end_um)?;
+            for _ in 0..LOOKS - SAME {
+                grab(scope, sink, FrameRole::Focus, &self.objective.id)?;
+            }
+        }
+        scope.return_to_height(Length::from_um(start_um))?;
         let mut looks = Vec::with_capacity(LOOKS);
         for _ in 0..LOOKS {
             let frame = grab(scope, sink, FrameRole::Focus, &self.objective.id)?;

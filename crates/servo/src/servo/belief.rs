@@ -183,10 +183,14 @@ impl Servo {
         match aside {
             Aside::Nothing { moved_um } => Ok(Progress::Done(ServoEnd::NothingMoves { moved_um })),
             Aside::Seen(seen) if !self.went_along(task, scope, sink, sight, &seen)? => {
-                Ok(Progress::Done(match self.watch.suspects() {
-                    Some(why) => ServoEnd::Contradicted { why, last },
-                    None => ServoEnd::Unproven(last),
-                }))
+                if let Some(why) = self.watch.suspects() {
+                    return Ok(Progress::Done(ServoEnd::Contradicted { why, last }));
+                }
+                // Play that nobody knows may have eaten the step.
+                if self.comes_from_below(task, scope, sink)? {
+                    return Ok(Progress::Continue);
+                }
+                Ok(Progress::Done(ServoEnd::Unproven(last)))
             }
             Aside::Seen(seen) => {
                 // The error begins anew from here; and what was believed so far may have been believed of the dust.

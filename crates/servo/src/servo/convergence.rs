@@ -52,6 +52,9 @@ pub(crate) struct Convergence {
     pub(crate) nearly: usize,
     /// The last frame, while nothing moved since.
     resting: Option<Measured>,
+    /// Frames since the last move, where all of them passed.
+    #[serde(default)]
+    rested: Vec<Measured>,
     /// A drift is waited for until then, on the instrument's clock.
     #[serde(default)]
     pub(crate) settles_until_s: Option<f64>,
@@ -68,6 +71,8 @@ pub(crate) struct Convergence {
 
 /// So many frames show whether what comes no nearer drifts.
 const RESTS: u8 = 3;
+/// A view that passed in so many frames from one place, and is not steady enough to be confirmed, shakes: it is where it is on average.
+const SHAKES: usize = 8;
 /// While a drift is waited for it is looked at so many times more seldom.
 const SELDOM: f64 = 2.0;
 
@@ -123,8 +128,15 @@ impl Convergence {
         if !passes || self.drift.suspected() {
             self.passed.clear();
         }
-        if passes {
-            self.passed.push(now);
+        match passes {
+            true => {
+                self.passed.push(now);
+                self.rested.push(now);
+            }
+            false => self.rested.clear(),
+        }
+        if self.shakes(criteria) {
+            self.passed = std::mem::take(&mut self.rested);
         }
         if moved && criteria.is_arrival {
             self.scatter.take(now);
@@ -150,9 +162,23 @@ impl Convergence {
         }
     }
 
+    /// Whether the view shakes about a place that rests.
+    fn shakes(&self, criteria: &Criteria<'_>) -> bool {
+        if self.rested.len() < SHAKES.max(criteria.options.confirmations) {
+            return false;
+        }
+        let (early, late) = self.rested.split_at(self.rested.len() / 2);
+        let (a, b) = (mean(early).t_um(), mean(late).t_um());
+        let time = |all: &[Measured]| all.iter().map(|m| m.time_s).sum::<f64>() / all.len() as f64;
+        let tolerance_um = criteria.options.position_px * criteria.view_um_per_px;
+        f64::hypot(a[0] - b[0], a[1] - b[1]) <= 0.5 * tolerance_um * (time(late) - time(early))
+    }
+
     /// Not there: whether moves still come nearer. Where they do not, a drift may be why, and is looked for first.
     fn outside(&mut self, criteria: &Criteria<'_>, now: Measured) -> Standing {
-        let stays = self.scatter.stays().filter(|_| criteria.scatter.is_some());
+        let tolerance = [0, 1].map(|k| criteria.tolerance(k));
+        let stays = self.scatter.stays(tolerance);
+        let stays = stays.filter(|_| criteria.scatter.is_some());
         match (stays, self.rests) {
             (_, Some(left @ 1..)) => {
                 self.rests = Some(left - 1);
@@ -210,11 +236,13 @@ impl Convergence {
     /// The stage moves: the next frame confirms nothing.
     pub(crate) fn moving(&mut self) {
         self.resting = None;
+        self.rested.clear();
     }
 
     /// No frame so far confirms the next one.
     pub(crate) fn confirm_anew(&mut self) {
         self.passed.clear();
+        self.rested.clear();
         self.resting = None;
     }
 

@@ -169,7 +169,7 @@ impl Criteria<'_> {
     }
 
     /// The method's own tolerance, um or deg.
-    fn tolerance(&self, k: usize) -> f64 {
+    pub(super) fn tolerance(&self, k: usize) -> f64 {
         let coarseness = (self.view_um_per_px / self.target_um_per_px).max(1.0);
         let own = [
             self.options.position_px * self.view_um_per_px,

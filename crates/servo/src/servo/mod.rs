@@ -48,11 +48,8 @@ impl Servo {
         sink: &mut dyn Sink,
     ) -> Result<Progress<ServoEnd>, ServoError> {
         // As well as moves have shown it to be known.
-        let view_calibration = &*self.watch.believed(task.view_calibration);
-        let task = &ServoTask {
-            view_calibration,
-            ..*task
-        };
+        let believed = self.watch.believed(task.view_calibration);
+        let task = &task.by(&believed);
         let mut test = self.criteria(task, scope);
         self.convergence.rest(&test, scope)?;
         let present = scope.gate().position()?;
@@ -67,9 +64,8 @@ impl Servo {
         };
         // Control: Eq. (22).
         let passes = test.passes(&sight.located.pose.error, &sight.located.estimate);
-        let velocity = task.velocity(&sight.located.pose, test.turns);
-        let event = sight.event(task, self.convergence.iteration, velocity, passes);
-        tell(scope, sink, event);
+        let iteration = (self.convergence.iteration, test.turns, passes);
+        tell(scope, sink, sight.event(task, iteration));
         // Did the last move do what it was to do?
         if let Some(progress) = self.contradicted(task, scope, sink, &sight) {
             return Ok(progress);
@@ -82,9 +78,8 @@ impl Servo {
             Belief::Unknown => return self.step_aside(task, scope, sink, &sight),
         };
         // Can the stage go there at all?
-        if !passes
-            && let Some(end) = self.cannot_reach(task, scope, &mut test, (&sight, &located))?
-        {
+        let seen = (&sight, &*located, passes);
+        if let Some(end) = self.cannot_reach(task, scope, &mut test, seen)? {
             return Ok(Progress::Done(end));
         }
         // Below the target's magnification one measurement is enough, where it surely leads into a higher objective's view.

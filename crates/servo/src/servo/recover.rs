@@ -58,6 +58,8 @@ impl Servo {
         sink: &mut dyn Sink,
         um_per_s: f64,
     ) -> bool {
+        // How far it drifts meanwhile is no divergence.
+        self.convergence.begin_anew();
         let now_s = scope.clock().now().seconds();
         match self.convergence.settles_until_s {
             // A clock that was started anew after a kill knows nothing of the time before.
@@ -68,6 +70,27 @@ impl Servo {
                 waits
             }
         }
+    }
+
+    /// From now on moves come from below, where that was not tried: the stage goes where it stands once more.
+    pub(crate) fn comes_from_below(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<bool, ServoError> {
+        if !self.tries(task, scope, sink, Attempt::OtherSide) {
+            return Ok(false);
+        }
+        self.from_below = true;
+        let present = scope.gate().position()?;
+        move_from_below(scope, &present, task.view_calibration)?;
+        // Seen from the other side all lies elsewhere.
+        self.watch.promise = None;
+        self.convergence.begin_anew();
+        self.expected.forget_angle();
+        self.proof.asks_again();
+        Ok(true)
     }
 
     /// Takes an attempt, and tells it; whether it is the first of its kind in this run.

@@ -4,7 +4,7 @@ use super::convergence::Measured;
 use serde::{Deserialize, Serialize};
 
 /// So many moves in a row tell.
-const MOVES: usize = 8;
+const MOVES: usize = 6;
 /// They come nearer where the later half is off by less than this share of the earlier one.
 const NEARER: f64 = 0.6;
 /// A mean that is off by more than so many of its standard deviations is no scatter, but a way.
@@ -48,15 +48,20 @@ impl Scatter {
         self.0.clear();
     }
 
-    /// How the last moves ended, where there were enough and they came no nearer.
-    pub(crate) fn stays(&self) -> Option<Spread> {
+    /// How the last moves ended, where there were enough and they came no nearer; what is within a tolerance, um and deg, need not.
+    pub(crate) fn stays(&self, tolerance: [f64; 2]) -> Option<Spread> {
         if self.0.len() < MOVES {
             return None;
         }
         let (early, late) = self.0.split_at(MOVES / 2);
-        let far = |all: &[Measured]| rms(all.iter().map(|m| m.error.distance_um()));
-        let turned = |all: &[Measured]| rms(all.iter().map(|m| m.error.angle_deg()));
-        if far(late) < NEARER * far(early) || turned(late) < NEARER * turned(early) {
+        let off = |all: &[Measured]| {
+            [
+                rms(all.iter().map(|m| m.error.distance_um())),
+                rms(all.iter().map(|m| m.error.angle_deg())),
+            ]
+        };
+        let (early, late) = (off(early), off(late));
+        if (0..2).any(|k| early[k] > tolerance[k] && late[k] < NEARER * early[k]) {
             return None;
         }
         let mean =
@@ -100,25 +105,24 @@ mod tests {
                 time_s: 0.0,
             });
         }
-        scatter.stays()
+        scatter.stays([0.4, 0.01])
     }
 
     #[test]
     fn what_comes_nearer_is_no_scatter_and_what_stays_has_its_spread() {
-        let nearer: Vec<_> = (0..8).map(|k| [100.0 * 0.8f64.powi(k), 0.0, 0.0]).collect();
+        let nearer: Vec<_> = (0..6).map(|k| [100.0 * 0.8f64.powi(k), 0.0, 0.0]).collect();
         assert_eq!(after(&nearer), None);
+        // Six places about a middle, the angle to and fro.
         let about = |middle: f64| -> Vec<[f64; 3]> {
-            let ways = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
-            let all = ways.iter().chain(&ways);
-            all.map(|[x, y]| [middle + 2.0 * x, 2.0 * y, 0.001 * x])
-                .collect()
+            let at = |k: u32| {
+                let (sin, cos) = (f64::from(k) * std::f64::consts::FRAC_PI_3).sin_cos();
+                [middle + 2.0 * cos, 2.0 * sin, 0.001 * cos]
+            };
+            (0..6).map(at).collect()
         };
-        assert_eq!(after(&about(0.0)[..7]), None, "too few");
+        assert_eq!(after(&about(0.0)[..5]), None, "too few");
         let spread = after(&about(0.0)).unwrap();
-        assert!(
-            (spread.um - 2.0 * (8f64 / 7.0).sqrt()).abs() < 1e-6,
-            "{spread:?}"
-        );
+        assert!((spread.um - 2.0 * 1.2f64.sqrt()).abs() < 1e-6, "{spread:?}");
         assert!(spread.middle[0] < 1e-9 && spread.is_about_the_goal([0.4, 0.01]));
         let beside = after(&about(10.0)).unwrap();
         assert!((beside.middle[0] - 10.0).abs() < 1e-6, "{beside:?}");
