@@ -178,7 +178,7 @@ impl Servo {
             (objective, task.view_calibration.um_per_px()),
             task.vision,
             (&sight.view.image, &seen_features),
-            &sight.station.pose,
+            (&sight.station.pose, &|to| self.goes(task, scope, to)),
         )?;
         match aside {
             Aside::Nothing { moved_um } => Ok(Progress::Done(ServoEnd::NothingMoves { moved_um })),
@@ -244,7 +244,7 @@ impl Servo {
         if scope.gate().check(&on).is_err() {
             return Ok(false);
         }
-        let pose = PlanarPose::from(&scope.move_to(&on)?);
+        let pose = PlanarPose::from(&self.goes(task, scope, &on)?);
         let objective = task.objective();
         let image = gray(scope, &*grab(scope, sink, FrameRole::Aside, objective)?)?;
         let features = task.vision.of_view(&image)?;

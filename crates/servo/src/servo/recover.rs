@@ -7,7 +7,7 @@ use super::state::Servo;
 use crate::event::tell;
 use crate::one_side::{move_from_below, move_from_one_side};
 use crate::{Attempt, Event, Remark, ServoEnd, ServoError, ServoTask, Sink};
-use scopeservo_scope::Instrument;
+use scopeservo_scope::{Instrument, StagePose};
 
 /// A drift is waited for so long, s...
 const SETTLES_S: f64 = 20.0;
@@ -91,6 +91,19 @@ impl Servo {
         self.expected.forget_angle();
         self.proof.asks_again();
         Ok(true)
+    }
+
+    /// Goes to a place, from below where moves do.
+    pub(crate) fn goes(
+        &self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        to: &StagePose,
+    ) -> Result<StagePose, ServoError> {
+        match self.from_below {
+            true => move_from_below(scope, to, task.view_calibration),
+            false => Ok(scope.move_to(to)?),
+        }
     }
 
     /// Takes an attempt, and tells it; whether it is the first of its kind in this run.
