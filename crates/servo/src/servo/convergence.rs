@@ -139,7 +139,7 @@ impl Convergence {
             self.passed = std::mem::take(&mut self.rested);
         }
         if moved && criteria.is_arrival {
-            self.scatter.take(now);
+            self.scatter.take(now.error);
         }
         if self.passed.len() >= criteria.options.confirmations.max(1) {
             let error = mean(&self.passed);

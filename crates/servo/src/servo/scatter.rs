@@ -1,6 +1,6 @@
 //! Moves that come no nearer: how they scatter about the goal.
 
-use super::convergence::Measured;
+use crate::PoseError;
 use serde::{Deserialize, Serialize};
 
 /// So many moves in a row tell.
@@ -12,7 +12,7 @@ const ONE_SIDED: f64 = 3.0;
 
 /// What was seen after each move, the last ones.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Scatter(Vec<Measured>);
+pub(crate) struct Scatter(Vec<PoseError>);
 
 /// How moves end.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -36,7 +36,7 @@ impl Spread {
 
 impl Scatter {
     /// Takes the first frame after a move.
-    pub(crate) fn take(&mut self, now: Measured) {
+    pub(crate) fn take(&mut self, now: PoseError) {
         if self.0.len() == MOVES {
             self.0.remove(0);
         }
@@ -54,10 +54,10 @@ impl Scatter {
             return None;
         }
         let (early, late) = self.0.split_at(MOVES / 2);
-        let off = |all: &[Measured]| {
+        let off = |all: &[PoseError]| {
             [
-                rms(all.iter().map(|m| m.error.distance_um())),
-                rms(all.iter().map(|m| m.error.angle_deg())),
+                rms(all.iter().map(|m| m.distance_um())),
+                rms(all.iter().map(|m| m.angle_deg())),
             ]
         };
         let (early, late) = (off(early), off(late));
@@ -65,17 +65,17 @@ impl Scatter {
             return None;
         }
         let mean =
-            |of: &dyn Fn(&Measured) -> f64| self.0.iter().map(of).sum::<f64>() / MOVES as f64;
-        let [x, y] = [0, 1].map(|k| mean(&|m| m.error.t_um()[k]));
-        let angle = mean(&|m| m.error.angle_deg());
-        let off = |m: &Measured| {
-            let [a, b] = m.error.t_um();
+            |of: &dyn Fn(&PoseError) -> f64| self.0.iter().map(of).sum::<f64>() / MOVES as f64;
+        let [x, y] = [0, 1].map(|k| mean(&|m| m.t_um()[k]));
+        let angle = mean(&|m| m.angle_deg());
+        let off = |m: &PoseError| {
+            let [a, b] = m.t_um();
             f64::hypot(a - x, b - y)
         };
         let freedom = (MOVES as f64 / (MOVES - 1) as f64).sqrt();
         Some(Spread {
             um: freedom * rms(self.0.iter().map(off)),
-            deg: freedom * rms(self.0.iter().map(|m| m.error.angle_deg() - angle)),
+            deg: freedom * rms(self.0.iter().map(|m| m.angle_deg() - angle)),
             middle: [f64::hypot(x, y), angle.abs()],
         })
     }
@@ -89,20 +89,13 @@ fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::PoseError;
 
     fn after(moves: &[[f64; 3]]) -> Option<Spread> {
         let mut scatter = Scatter::default();
         for [x_um, y_um, deg] in moves {
-            scatter.take(Measured {
-                error: PoseError {
-                    t_m: [x_um * 1e-6, y_um * 1e-6],
-                    theta_rad: deg.to_radians(),
-                },
-                sigma_um: 0.01,
-                sigma_deg: 0.001,
-                inliers: 50,
-                time_s: 0.0,
+            scatter.take(PoseError {
+                t_m: [x_um * 1e-6, y_um * 1e-6],
+                theta_rad: deg.to_radians(),
             });
         }
         scatter.stays([0.4, 0.01])
