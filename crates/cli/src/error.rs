@@ -106,6 +106,7 @@ pub(crate) enum Code {
     Unfinished,
     NoFocus,
     AtLimit,
+    StaleImages,
     Blurred,
     CalibrationFailed,
     WrongObjective,
@@ -139,6 +140,7 @@ impl Code {
             | Self::Unfinished
             | Self::NoFocus
             | Self::AtLimit
+            | Self::StaleImages
             | Self::CalibrationFailed
             | Self::WrongObjective
             | Self::PoorTarget
@@ -255,6 +257,7 @@ fn servo_code(error: &ServoError) -> Code {
     match error.code() {
         ErrorCode::NoFocus => Code::NoFocus,
         ErrorCode::AtLimit => Code::AtLimit,
+        ErrorCode::StaleImages => Code::StaleImages,
         ErrorCode::CalibrationFailed => Code::CalibrationFailed,
         ErrorCode::WrongObjective => Code::WrongObjective,
         ErrorCode::PoorTarget => Code::PoorTarget,

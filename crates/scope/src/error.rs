@@ -259,6 +259,17 @@ pub enum ScopeError {
         /// Which device.
         device: &'static str,
     },
+    /// Images that were taken before come again as new ones: what is seen changes while nothing moves.
+    #[error(
+        "the {device} shows stale images: what it showed went on changing for {frames} frames after the stage stood. Empty the buffer of its \
+         driver, tell how late its images come, and see that the stage stands when it says so"
+    )]
+    Stale {
+        /// Which device.
+        device: &'static str,
+        /// How many frames old the images are.
+        frames: usize,
+    },
     /// The device reported a fault of its own.
     #[error("the {device} reports: {detail}")]
     Device {
@@ -349,6 +360,7 @@ impl ScopeError {
             | Self::Timeout { .. }
             | Self::Lost { .. }
             | Self::Frozen { .. }
+            | Self::Stale { .. }
             | Self::Device { .. } => ErrorKind::Fault,
         }
     }

@@ -26,6 +26,8 @@ pub enum ErrorCode {
     NoFocus,
     /// The focus lies beyond where the stage may go.
     AtLimit,
+    /// The camera shows images that were taken before.
+    StaleImages,
     /// A calibration had too little to see, or was implausible.
     CalibrationFailed,
     /// Another objective is active than the one that is said to be, or it could not be seen which.
@@ -72,6 +74,7 @@ impl ErrorCode {
         match self {
             Self::NoFocus
             | Self::AtLimit
+            | Self::StaleImages
             | Self::CalibrationFailed
             | Self::WrongObjective
             | Self::PoorTarget
@@ -154,6 +157,7 @@ fn scope_code(error: &ScopeError) -> ErrorCode {
         | ScopeError::NotRetracted { .. } => ErrorCode::OutsideLimits,
         ScopeError::ImmersionNotAgreed { .. } => ErrorCode::Immersion,
         ScopeError::Frozen { .. } => ErrorCode::NothingMoves,
+        ScopeError::Stale { .. } => ErrorCode::StaleImages,
         other => match other.kind() {
             ScopeErrorKind::Refused => ErrorCode::Refused,
             ScopeErrorKind::Interrupted => ErrorCode::Interrupted,

@@ -16,6 +16,7 @@
     )
 )]
 
+mod attempt;
 mod bring;
 mod calibrate;
 mod calibration;
@@ -47,6 +48,7 @@ mod trial;
 mod vision;
 mod words;
 
+pub use attempt::Attempt;
 pub use bring::Bring;
 pub use calibrate::{
     Calibrate, CalibrateOptions, CalibrationMethod, ChainPair, ChainPlace, ChainView, agree, joint,

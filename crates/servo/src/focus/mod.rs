@@ -19,6 +19,7 @@ mod point;
 mod sample;
 mod search;
 mod sharpness;
+mod stale;
 mod state;
 
 use crate::event::tell;
@@ -93,10 +94,10 @@ impl Focus {
                 samples: 0,
             }));
         }
-        let Some(start_um) = self.start_um else {
+        if self.start_um.is_none() {
             self.begin(scope)?;
             return Ok(Progress::Continue);
-        };
+        }
         if !self.plan_um.is_empty() {
             let z_um = self.plan_um.remove(0);
             if !self.comes_from_far(scope, z_um)? {
@@ -109,10 +110,7 @@ impl Focus {
         }
         match self.decide(scope)? {
             search::Decision::Look => Ok(Progress::Continue),
-            search::Decision::Nothing => {
-                scope.return_to_height(Length::from_um(start_um))?;
-                Err(self.no_focus())
-            }
+            search::Decision::Nothing => Err(self.nothing_found(scope, sink)?),
             search::Decision::There(sigma_um) => Ok(Progress::Done(self.found(scope, sigma_um))),
         }
     }

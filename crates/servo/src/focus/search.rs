@@ -95,7 +95,13 @@ impl Focus {
             let nearer = way.min(self.options.nearest_um);
             all.extend([start_um + away * way, start_um - away * nearer]);
         }
-        all.dedup();
+        // Towards the specimen all that go past the bound end at it.
+        let mut each: Vec<f64> = Vec::new();
+        all.retain(|z| {
+            let new = !each.contains(z);
+            each.push(*z);
+            new
+        });
         let seen = |z: f64| {
             self.samples
                 .iter()

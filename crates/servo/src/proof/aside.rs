@@ -7,7 +7,7 @@ use crate::vision::{grab, gray};
 use crate::{Event, FrameRole, PlanarPose, ServoError, Sink, VisionOptions};
 use scopeservo_features::{Features, GrayImage};
 use scopeservo_geometry::Vec2;
-use scopeservo_scope::{Axis, Instrument, ObjectiveId, ScopeError};
+use scopeservo_scope::{Axis, Instrument, ObjectiveId, ScopeError, StagePose};
 
 /// So far the view must be seen to move, pixels: what stays and what moves is then told apart without doubt.
 pub(crate) const SEEN_PX: f64 = 12.0;
@@ -17,6 +17,9 @@ const FIRST_STEP_PX: f64 = 16.0;
 const MARGIN_PX: f64 = 1.5;
 /// The step doubles up to this share of the shorter side: backlash in the drive may swallow a small one.
 const LONGEST_SHARE: f64 = 0.25;
+
+/// How the stage goes to a place.
+pub(crate) type Goes<'a> = &'a dyn Fn(&StagePose) -> Result<StagePose, ServoError>;
 
 /// What a step aside showed.
 pub(crate) enum Aside {
@@ -46,14 +49,14 @@ fn steps(shorter_px: usize) -> Vec<f64> {
     steps
 }
 
-/// Moves away from `home`, where the frame `first` was taken, until the view is seen to have moved, and stays there.
+/// Moves (by `go`) away from `home`, where the frame `first` was taken, until the view is seen to have moved, and stays there.
 pub(crate) fn step_aside(
     scope: &Instrument,
     sink: &mut dyn Sink,
     (objective, um_per_px): (&ObjectiveId, f64),
     vision: &VisionOptions,
     (first, first_features): (&GrayImage, &Features),
-    home: &PlanarPose,
+    (home, go): (&PlanarPose, Goes<'_>),
 ) -> Result<Aside, ServoError> {
     let steps = steps(first.width().min(first.height()));
     let longest = steps[steps.len() - 1];
@@ -79,7 +82,7 @@ pub(crate) fn step_aside(
             }
         };
         let to = place(home, along, step_m, 1.0);
-        scope.move_to(&to.request(&scope.gate().position()?))?;
+        go(&to.request(&scope.gate().position()?))?;
         gone_um = gone_um.max(step_m * 1e6);
         let frame = grab(scope, sink, FrameRole::Aside, objective)?;
         let (seen, seen_px) = look(vision, (first, first_features), gray(scope, &frame)?)?;

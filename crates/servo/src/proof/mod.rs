@@ -154,6 +154,12 @@ impl Proof {
         may
     }
 
+    /// What was asked of the last step aside is asked of another one.
+    pub(crate) fn asks_again(&mut self) {
+        self.asides = self.asides.saturating_sub(1);
+        self.witnesses.clear();
+    }
+
     /// Keeps a frame that was taken far enough from the goal.
     pub(crate) fn witness(
         &mut self,

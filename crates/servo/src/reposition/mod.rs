@@ -3,6 +3,7 @@
 mod ahead;
 mod ladder;
 mod left;
+mod light;
 mod outcome;
 mod parcentric;
 mod procedure;

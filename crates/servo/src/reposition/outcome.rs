@@ -30,6 +30,8 @@ pub enum Reason {
     NoFocus,
     /// It gets sharper towards where the stage may not go.
     AtLimit,
+    /// The camera shows images that were taken before.
+    StaleImages,
     /// Another objective is active than the one that was asked for, or it could not be seen which.
     WrongObjective,
     /// Calibration had too little to see or was implausible.
@@ -114,6 +116,7 @@ impl Reason {
         Some(match error.code() {
             ErrorCode::NoFocus => Self::NoFocus,
             ErrorCode::AtLimit => Self::AtLimit,
+            ErrorCode::StaleImages => Self::StaleImages,
             ErrorCode::PoorTarget => Self::BlankTarget,
             ErrorCode::NothingMoves => Self::NothingMoves,
             ErrorCode::Ambiguous => Self::Ambiguous,

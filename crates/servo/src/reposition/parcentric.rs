@@ -1,7 +1,8 @@
 //! The view's centre, kept when the objective changes: what is known of where each objective looks beside the others.
 
+use super::MagnificationResult;
 use crate::kinematics::{Motion2, PlanarPose, pose_after};
-use crate::{Calibration, Known, ServoError, SwitchingReport};
+use crate::{Calibration, Known, ServoEnd, ServoError, SwitchingReport};
 use scopeservo_scope::{ErrorKind, Instrument, ObjectiveId};
 use std::collections::BTreeMap;
 
@@ -9,6 +10,20 @@ use std::collections::BTreeMap;
 const SIGMAS: f64 = 2.0;
 /// One below this share of the field's shorter side costs the servo nothing.
 const SHARE: f64 = 0.1;
+
+/// Objectives of one nosepiece look at places that are nearer to each other than this, um: rotation centres that are farther apart are those of a
+/// calibration that has drifted.
+const PARCENTRIC_UM: f64 = 1000.0;
+
+/// Whether rotation centres are trusted with where objectives look beside each other: a target that was handed over and was not there says that
+/// they may not be, as centres that are 0.2 mm off are no hindrance but for this.
+pub(super) fn centres_hold(done: &[MagnificationResult]) -> bool {
+    let missed = |pair: &[MagnificationResult]| {
+        matches!(pair[0].end, ServoEnd::HandedOver { .. })
+            && matches!(pair[1].end, ServoEnd::Lost(_))
+    };
+    !done.windows(2).any(missed)
+}
 
 /// Where the centre of `to` lies beside that of `from`, um in stage axes: by switching between them or from a third one to both, else by the
 /// rotation centres of calibrations that are trusted with it.
@@ -40,7 +55,9 @@ pub(super) fn offset_um(
                 sigma: 1e6 * covariance[4 + k][4 + k].sqrt(),
             }))
         };
-        Some(between(&centre(from)?, &centre(to)?))
+        let offset = between(&centre(from)?, &centre(to)?);
+        let [x, y] = offset.map(|k| k.value);
+        (f64::hypot(x, y) <= PARCENTRIC_UM).then_some(offset)
     };
     seen(from, to)
         .or_else(|| seen(to, from).map(back))
@@ -116,5 +133,28 @@ mod tests {
         let third = offset("20x", "40x").unwrap();
         assert!((third.value + 13.0).abs() < 1e-12 && (third.sigma - 0.18f64.sqrt()).abs() < 1e-12);
         assert_eq!(offset("20x", "100x"), None);
+    }
+
+    #[test]
+    fn centres_farther_apart_than_objectives_can_be_tell_no_offset() {
+        let calibration = |id: &str, x_m: f64| Calibration {
+            schema: crate::CALIBRATION_SCHEMA,
+            objective: ObjectiveId(id.into()),
+            image_size_px: [640, 480],
+            stage_from_pixel: scopeservo_geometry::Mat2([[0.0, 2e-6], [2e-6, 0.0]]),
+            rotation_centre_m: Some([x_m, 0.0]),
+            covariance: Some([[0.0; 6]; 6]),
+            backlash: None,
+            scatter: None,
+        };
+        let [low, high] = ["10x", "40x"].map(|id| ObjectiveId(id.into()));
+        for (off_m, known) in [(1e-5, true), (-4e-4, true), (2.3e-3, false), (-9e-3, false)] {
+            let all = [(&low, 0.125), (&high, 0.125 + off_m)];
+            let all = all.map(|(id, x_m)| (id.clone(), calibration(&id.0, x_m)));
+            let offset = offset_um([&low, &high], &[], Some(&all.into()));
+            let x = offset.map(|[x, _]| x.value);
+            assert_eq!(x.is_some(), known, "{off_m}");
+            assert!(x.is_none_or(|x| (x - 1e6 * off_m).abs() < 1e-6), "{x:?}");
+        }
     }
 }

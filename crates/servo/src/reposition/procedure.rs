@@ -4,8 +4,10 @@ use super::{
     Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Shortest, SoFar, Verdict,
 };
 mod ending;
+mod recover;
 
 use super::{ahead, parcentric, words};
+use crate::attempt::Tried;
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
 use crate::servo::watch::Watch;
@@ -20,6 +22,7 @@ use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Settings of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -88,6 +91,12 @@ pub struct Reposition {
     /// What was seen of the instrument.
     #[serde(default)]
     remarks: Vec<Remark>,
+    /// What was tried between loops.
+    #[serde(default)]
+    tried: Tried,
+    /// How the camera exposed before the run changed that.
+    #[serde(default)]
+    exposure_before: Option<Duration>,
 }
 
 impl Reposition {
@@ -106,6 +115,8 @@ impl Reposition {
             began: None,
             watch: Watch::default(),
             remarks: Vec::new(),
+            tried: Tried::default(),
+            exposure_before: None,
         }
     }
 
@@ -174,16 +185,6 @@ impl Reposition {
         made.filter(|(objective, _)| !self.known.contains(*objective))
     }
 
-    /// Whether rotation centres are trusted with where objectives look beside each other: a target that was handed over and was not there says that
-    /// they may not be, as centres that are 0.2 mm off are no hindrance but for this.
-    fn centres_hold(&self) -> bool {
-        let missed = |pair: &[MagnificationResult]| {
-            matches!(pair[0].end, ServoEnd::HandedOver { .. })
-                && matches!(pair[1].end, ServoEnd::Lost(_))
-        };
-        !self.done.windows(2).any(missed)
-    }
-
     fn policy(&self) -> &dyn LegPolicy {
         match self.options.servo.law {
             Law::Direct => &Shortest,
@@ -209,10 +210,14 @@ impl Reposition {
 
     /// Begins a leg, whatever was under way before.
     fn bring(&mut self, scope: &Instrument, leg: Leg) {
-        let id = leg.objective().clone();
-        let known = self.options.reuse_focus && scope.focus_positions().contains_key(&id);
+        let known =
+            self.options.reuse_focus && scope.focus_positions().contains_key(leg.objective());
         let focus = (!known).then(|| self.options.focus.clone());
-        let bring = Bring::new(id, focus, self.options.vision.clone());
+        self.bring_within(leg, focus);
+    }
+
+    fn bring_within(&mut self, leg: Leg, focus: Option<FocusOptions>) {
+        let bring = Bring::new(leg.objective().clone(), focus, self.options.vision.clone());
         let work = Work::Bring(Box::new(bring));
         self.state = State::Under { leg, work };
     }
@@ -263,7 +268,7 @@ impl Reposition {
             Law::Direct => self.policy().outlook(&self.so_far(scope, &target)),
             Law::Proportional => Vec::new(),
         };
-        let centres_hold = self.centres_hold();
+        let centres_hold = parcentric::centres_hold(&self.done);
         // After the last leg's calibration K_t is the newer of its two measurements.
         let target_calibration = self.target_calibration(&target);
         let (leg, work) = match &mut self.state {
@@ -332,7 +337,7 @@ impl Reposition {
                     end: end.clone(),
                 });
                 self.go_back(scope, &end)?;
-                Ok(self.servoed(scope, &target, (leg, &end), seen))
+                self.servoed(scope, sink, &target, (leg, &end), seen)
             }
             Work::Identify(identify) => {
                 let seen = identify.step(scope, sink);
@@ -353,7 +358,7 @@ impl Reposition {
             && let Some(offset_um) = parcentric::offset_um(
                 [&before.objective, leg.objective()],
                 &self.switchings,
-                self.centres_hold().then_some(&self.calibrations),
+                parcentric::centres_hold(&self.done).then_some(&self.calibrations),
             )
         {
             let own = self.calibrations.get(leg.objective());
@@ -421,16 +426,13 @@ impl Procedure for Reposition {
     ) -> Result<Progress<Outcome>, ServoError> {
         let ended = match self.advance(scope, sink) {
             Ok(ended) => ended,
-            Err(error) if self.went_astray(scope, &error)? => None,
-            Err(error) => {
-                self.withdraw(scope, &error)?;
-                Some(self.answer(error)?)
-            }
+            Err(error) => self.failed(scope, sink, error)?,
         };
         Ok(match ended {
             None => Progress::Continue,
             Some(outcome) => {
                 self.state = State::Ended;
+                self.exposes_as_before(scope);
                 let event = Event::Finished {
                     outcome: outcome.clone(),
                 };

@@ -4,7 +4,8 @@ use super::words_of_reach::{cannot_reach, outside_tolerance};
 use super::{Left, Reason, Verdict};
 use crate::target::MIN_TARGET_FEATURES;
 use crate::words::rival_in_words;
-use crate::{Contradiction, Known, LimitedBy, Remark, ServoEnd, ServoResult};
+use crate::{Attempt, Contradiction, Known, LimitedBy, Remark, ServoEnd, ServoResult};
+use scopeservo_scope::ObjectiveId;
 
 /// The answer that the end of the last loop means, at the magnification `at`. `seen_below`: the target was seen at a lower one; `left`: what a
 /// stage has left that did not turn.
@@ -161,6 +162,7 @@ fn remark(remark: &Remark) -> String {
             "The calibration drifted: beside the target's objective the scale of {objective} is {:+.1} % off. Run `check` for both",
             100.0 * (factor - 1.0)
         ),
+        Remark::Tried { objective, attempt } => tried(objective, attempt),
         Remark::Contradicted { why, .. } => {
             let why = contradiction(*why);
             let mut letters = why.chars();
@@ -170,6 +172,31 @@ fn remark(remark: &Remark) -> String {
                 first.map(String::from).unwrap_or_default(),
                 letters.as_str()
             )
+        }
+    }
+}
+
+/// What was tried, why, and what would spare it.
+fn tried(objective: &ObjectiveId, attempt: &Attempt) -> String {
+    match attempt {
+        Attempt::ExposureAdapted { from_ms, to_ms } => format!(
+            "The view was too {} with {objective}, and was exposed for {to_ms:.3} ms instead of {from_ms:.3} ms, until the run ended. Look at the lamp \
+             and at the camera's exposure",
+            if to_ms > from_ms { "dark" } else { "bright" }
+        ),
+        Attempt::FocusWidened { half_range_um } => format!(
+            "With {objective} nothing was in focus near the height where it was looked for first, and it was looked for once more within \
+             {half_range_um:.0} um"
+        ),
+        Attempt::DriftWaitedFor { um_per_s } => format!(
+            "The view drifted by {um_per_s:.2} um per second with {objective}, and the run waited for it to rest"
+        ),
+        Attempt::OtherSide => format!(
+            "Moves with {objective} came no nearer, and from then on each axis went to its goal from below, which takes up its play. `calibrate` \
+             measures the play"
+        ),
+        Attempt::AnotherObjective { to } => {
+            format!("The saved view was not seen with {objective}, and was looked for with {to}")
         }
     }
 }

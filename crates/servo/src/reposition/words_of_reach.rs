@@ -139,15 +139,22 @@ pub(super) fn outside_tolerance(end: &ServoEnd) -> String {
             2.0 * last.sigma_deg
         ),
         _ => format!(
-            "this stage comes back to within {stage_um:.2} um and {stage_deg:.4} deg (two standard deviations): ask for less, or look for play and \
-             vibration"
+            "this stage comes back to within {stage_um:.2} um and {stage_deg:.4} deg (two standard deviations): {}look for play and vibration",
+            if asked.is_empty() {
+                ""
+            } else {
+                "ask for less, or "
+            }
         ),
     };
+    let wanted = match asked.is_empty() {
+        true => "moves came no nearer".into(),
+        false => format!("{} was asked for, which did not come", asked.join(" and ")),
+    };
     format!(
-        "the place is back, {:.2} um and {:.4} deg off, and {} was asked for, which did not come in {} iterations: {why}",
+        "the place is back, {:.2} um and {:.4} deg off, and {wanted} in {} iterations: {why}",
         last.error.distance_um(),
         last.error.angle_deg().abs(),
-        asked.join(" and "),
         last.iterations
     )
 }

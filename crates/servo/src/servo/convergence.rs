@@ -1,6 +1,7 @@
 //! The convergence test: when a loop has arrived, and when it gives up.
 
 use super::criteria::Criteria;
+use super::scatter::{Scatter, Spread};
 use crate::proof::Drift;
 use crate::{PoseError, ServoEnd, ServoError, ServoOptions, ServoResult};
 use scopeservo_registration::NotFound;
@@ -29,8 +30,10 @@ pub(crate) struct Measured {
 pub(crate) enum Standing {
     /// Not there: the stage moves.
     Outside,
-    /// Inside, to be confirmed by the next frame from the same place.
+    /// To be confirmed by the next frame from the same place.
     Inside,
+    /// Not there, like the moves before, which came no nearer; with the end that this is where nothing is left to try.
+    Scattered(Spread, ServoEnd),
     /// The loop is over.
     Ended(ServoEnd),
 }
@@ -49,7 +52,29 @@ pub(crate) struct Convergence {
     pub(crate) nearly: usize,
     /// The last frame, while nothing moved since.
     resting: Option<Measured>,
+    /// Frames since the last move, where all of them passed.
+    #[serde(default)]
+    rested: Vec<Measured>,
+    /// A drift is waited for until then, on the instrument's clock.
+    #[serde(default)]
+    pub(crate) settles_until_s: Option<f64>,
+    /// How moves end.
+    #[serde(default)]
+    pub(crate) scatter: Scatter,
+    /// Frames to be looked at before the next move; `None` until moves come no nearer.
+    #[serde(default)]
+    rests: Option<u8>,
+    /// Moves come no nearer than this.
+    #[serde(default)]
+    pub(crate) spread: Option<Spread>,
 }
+
+/// So many frames show whether what comes no nearer drifts.
+const RESTS: u8 = 3;
+/// A view that passed in so many frames from one place, and is not steady enough to be confirmed, shakes: it is where it is on average.
+const SHAKES: usize = 8;
+/// While a drift is waited for it is looked at so many times more seldom.
+const SELDOM: f64 = 2.0;
 
 impl Convergence {
     /// Whether the target was seen at all.
@@ -66,11 +91,13 @@ impl Convergence {
         let Some(before) = self.resting.filter(|_| criteria.is_arrival) else {
             return Ok(());
         };
-        let until = before.time_s + criteria.options.confirmation_s;
+        let times = self.settles_until_s.map_or(1.0, |_| SELDOM);
+        let rest_s = times * criteria.options.confirmation_s;
+        let until = before.time_s + rest_s;
         loop {
             let left = until - scope.clock().now().seconds();
             // A clock that was started anew after a kill knows nothing of the frame before.
-            if left > criteria.options.confirmation_s {
+            if left > rest_s {
                 self.passed.clear();
                 (self.resting, self.drift) = (None, Drift::default());
                 return Ok(());
@@ -91,6 +118,7 @@ impl Convergence {
         now: Measured,
         passes: bool,
     ) -> Standing {
+        let moved = self.resting.is_none();
         if let Some(um_per_s) = self.drifts(criteria, now) {
             let last = self.result(now);
             return Standing::Ended(ServoEnd::Drifting { um_per_s, last });
@@ -100,8 +128,18 @@ impl Convergence {
         if !passes || self.drift.suspected() {
             self.passed.clear();
         }
-        if passes {
-            self.passed.push(now);
+        match passes {
+            true => {
+                self.passed.push(now);
+                self.rested.push(now);
+            }
+            false => self.rested.clear(),
+        }
+        if self.shakes(criteria) {
+            self.passed = std::mem::take(&mut self.rested);
+        }
+        if moved && criteria.is_arrival {
+            self.scatter.take(now.error);
         }
         if self.passed.len() >= criteria.options.confirmations.max(1) {
             let error = mean(&self.passed);
@@ -120,7 +158,41 @@ impl Convergence {
         } else if passes {
             Standing::Inside
         } else {
-            Standing::Outside
+            self.outside(criteria, now)
+        }
+    }
+
+    /// Whether the view shakes about a place that rests.
+    fn shakes(&self, criteria: &Criteria<'_>) -> bool {
+        if self.rested.len() < SHAKES.max(criteria.options.confirmations) {
+            return false;
+        }
+        let (early, late) = self.rested.split_at(self.rested.len() / 2);
+        let (a, b) = (mean(early).t_um(), mean(late).t_um());
+        let time = |all: &[Measured]| all.iter().map(|m| m.time_s).sum::<f64>() / all.len() as f64;
+        let tolerance_um = criteria.options.position_px * criteria.view_um_per_px;
+        f64::hypot(a[0] - b[0], a[1] - b[1]) <= 0.5 * tolerance_um * (time(late) - time(early))
+    }
+
+    /// Not there: whether moves still come nearer. Where they do not, a drift may be why, and is looked for first.
+    fn outside(&mut self, criteria: &Criteria<'_>, now: Measured) -> Standing {
+        let tolerance = [0, 1].map(|k| criteria.tolerance(k));
+        let stays = self.scatter.stays(tolerance);
+        let stays = stays.filter(|_| criteria.scatter.is_some());
+        match (stays, self.rests) {
+            (_, Some(left @ 1..)) => {
+                self.rests = Some(left - 1);
+                Standing::Inside
+            }
+            (None, _) => Standing::Outside,
+            (Some(_), None) => {
+                self.rests = Some(RESTS);
+                Standing::Inside
+            }
+            (Some(spread), Some(_)) => {
+                let end = criteria.scattered(&spread, &self.result(now));
+                Standing::Scattered(spread, end)
+            }
         }
     }
 
@@ -164,17 +236,20 @@ impl Convergence {
     /// The stage moves: the next frame confirms nothing.
     pub(crate) fn moving(&mut self) {
         self.resting = None;
+        self.rested.clear();
     }
 
     /// No frame so far confirms the next one.
     pub(crate) fn confirm_anew(&mut self) {
         self.passed.clear();
+        self.rested.clear();
         self.resting = None;
     }
 
     /// Divergence counts from the next frame on.
     pub(crate) fn begin_anew(&mut self) {
         self.first = None;
+        self.scatter.clear();
     }
 
     /// What is known with the frame `now`.

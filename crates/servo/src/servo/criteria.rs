@@ -1,5 +1,6 @@
 //! What counts as there: the method's own tolerance, what a user asked for, and what a stage can do.
 
+use super::scatter::Spread;
 use crate::{LimitedBy, PoseError, ServoEnd, ServoOptions, ServoResult};
 use scopeservo_registration::Estimate;
 use std::f64::consts::SQRT_2;
@@ -29,6 +30,9 @@ const TRIES: usize = 10;
 const KNOWN: f64 = 2.5;
 /// What is within so many standard deviations is as good as it gets.
 const NEARLY_SIGMAS: f64 = 2.0;
+
+/// A stage that scatters more than so many times what is known of it, or than the tolerance, does not work as it is to.
+const SCATTERS: f64 = 3.0;
 
 /// How far off a view is, um and deg, and the standard deviations of one coordinate and of the angle.
 #[derive(Debug, Clone, Copy)]
@@ -80,6 +84,46 @@ impl Criteria<'_> {
         })
     }
 
+    /// Whether a stage may scatter so much: about the goal, and not far more than is known of it.
+    pub(crate) fn may_scatter(&self, spread: &Spread) -> bool {
+        let most = |k: usize| {
+            let known = self.scatter.map_or(0.0, |scatter| scatter[k]);
+            SCATTERS * known.max(self.tolerance(k))
+        };
+        spread.is_about_the_goal([0, 1].map(|k| self.tolerance(k)))
+            && spread.um <= most(0)
+            && (!self.turns || spread.deg <= most(1))
+    }
+
+    /// The end of a loop whose moves come no nearer.
+    pub(crate) fn scattered(&self, spread: &Spread, last: &ServoResult) -> ServoEnd {
+        match spread.is_about_the_goal([0, 1].map(|k| self.tolerance(k))) {
+            true => ServoEnd::OutsideTolerance {
+                last: ServoResult {
+                    limited_by: Some(LimitedBy::Repeatability),
+                    ..last.clone()
+                },
+                asked_um: self.options.within_um,
+                asked_deg: self.options.within_deg,
+                stage_um: NEARLY_SIGMAS * spread.um,
+                stage_deg: NEARLY_SIGMAS * spread.deg,
+            },
+            false => ServoEnd::IterationLimit(last.clone()),
+        }
+    }
+
+    /// The same where moves were seen to come no nearer than this.
+    pub(crate) fn scattering(self, spread: Option<&Spread>) -> Self {
+        let Some((spread, known)) = spread.zip(self.scatter) else {
+            return self;
+        };
+        Self {
+            scatter: Some([known[0].max(spread.um), known[1].max(spread.deg)]),
+            nearly: self.nearly.max(NEARLY),
+            ..self
+        }
+    }
+
     /// What kept the view from coming nearer, where that is not surely within the method's tolerance.
     pub(crate) fn limit(&self, result: &ServoResult) -> Option<LimitedBy> {
         let limit = || self.limited_by(result, |k| self.tolerance(k));
@@ -125,7 +169,7 @@ impl Criteria<'_> {
     }
 
     /// The method's own tolerance, um or deg.
-    fn tolerance(&self, k: usize) -> f64 {
+    pub(super) fn tolerance(&self, k: usize) -> f64 {
         let coarseness = (self.view_um_per_px / self.target_um_per_px).max(1.0);
         let own = [
             self.options.position_px * self.view_um_per_px,

@@ -35,6 +35,7 @@ impl Servo {
             turns: test.turns && !self.leaves_angle,
             ..test
         }
+        .scattering(self.convergence.spread.as_ref())
     }
 
     /// What the moves have shown so far.

@@ -16,8 +16,10 @@ pub(crate) mod options;
 mod pixels;
 pub(crate) mod promise;
 mod reach;
+mod recover;
 pub(crate) mod refit;
 pub(crate) mod run;
+mod scatter;
 mod sight;
 mod state;
 mod take_over;
@@ -25,7 +27,6 @@ pub(crate) mod task;
 mod turning;
 pub(crate) mod watch;
 
-use crate::one_side::move_from_one_side;
 use crate::vision::grab;
 use crate::{FrameRole, Progress, ServoEnd, ServoError, ServoTask, Sink, event::tell};
 use belief::Belief;
@@ -47,11 +48,8 @@ impl Servo {
         sink: &mut dyn Sink,
     ) -> Result<Progress<ServoEnd>, ServoError> {
         // As well as moves have shown it to be known.
-        let view_calibration = &*self.watch.believed(task.view_calibration);
-        let task = &ServoTask {
-            view_calibration,
-            ..*task
-        };
+        let believed = self.watch.believed(task.view_calibration);
+        let task = &task.by(&believed);
         let mut test = self.criteria(task, scope);
         self.convergence.rest(&test, scope)?;
         let present = scope.gate().position()?;
@@ -66,11 +64,9 @@ impl Servo {
         };
         // Control: Eq. (22).
         let passes = test.passes(&sight.located.pose.error, &sight.located.estimate);
-        let velocity = task.velocity(&sight.located.pose, test.turns);
         let promised = self.watch.promised(&task.mover(scope));
-        let answer = (velocity, passes);
-        let event = sight.event(task, self.convergence.iteration, promised, answer);
-        tell(scope, sink, event);
+        let iteration = (self.convergence.iteration, test.turns, passes);
+        tell(scope, sink, sight.event(task, iteration, promised));
         // Did the last move do what it was to do?
         if let Some(progress) = self.contradicted(task, scope, sink, &sight) {
             return Ok(progress);
@@ -83,9 +79,8 @@ impl Servo {
             Belief::Unknown => return self.step_aside(task, scope, sink, &sight),
         };
         // Can the stage go there at all?
-        if !passes
-            && let Some(end) = self.cannot_reach(task, scope, &mut test, (&sight, &located))?
-        {
+        let seen = (&sight, &*located, passes);
+        if let Some(end) = self.cannot_reach(task, scope, &mut test, seen)? {
             return Ok(Progress::Done(end));
         }
         // Below the target's magnification one measurement is enough, where it surely leads into a higher objective's view.
@@ -94,16 +89,11 @@ impl Servo {
         }
         // Stage: Eq. (5). A frame that passes is confirmed by the next one from the same place.
         let measured = sight.measured(&located, task);
-        match self.convergence.take(&test, measured, passes) {
-            Standing::Ended(end) => return Ok(Progress::Done(end)),
+        let standing = self.convergence.take(&test, measured, passes);
+        match self.unless_tried(task, scope, sink, &test, standing) {
+            Standing::Ended(end) | Standing::Scattered(_, end) => return Ok(Progress::Done(end)),
             Standing::Inside => {}
-            Standing::Outside => {
-                let velocity = task.velocity(&located.pose, test.turns);
-                let velocity = self.watch.limited(velocity, task.view_calibration);
-                let goal = sight.goal(&velocity);
-                self.moving(task, scope, &test, (&sight, &located), (&velocity, &goal));
-                move_from_one_side(scope, &present, &goal, task.view_calibration)?;
-            }
+            Standing::Outside => self.go_on(task, scope, &test, (&sight, &located))?,
         }
         self.convergence.iteration += 1;
         Ok(Progress::Continue)

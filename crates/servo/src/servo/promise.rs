@@ -177,12 +177,12 @@ impl Promise {
         )
     }
 
-    /// The simplest of what explains an error to within `leaves_m` of the view.
-    fn cause(&self, seen: &PoseError, mover: &Mover<'_>, leaves_m: f64) -> Contradiction {
+    /// What may explain an error, the simplest first, and how far from what is seen the view would then be, m.
+    fn causes(&self, seen: &PoseError, mover: &Mover<'_>) -> Vec<(Contradiction, f64)> {
         let (before, goal) = (&self.before, &self.goal);
         let by = [0, 1].map(|k| goal.x_m[k] - before.x_m[k]);
         let turn = goal.theta_rad - before.theta_rad;
-        let size_m = 0.5 * mover.view.um_per_px() * 1e-6 * mover.view.image_size_px[0] as f64;
+        let size_m = size_m(mover);
         // How far from what is seen the view would be, had the stage gone by so much.
         let left = |x: Vec2, theta: f64| {
             let pose = PlanarPose {
@@ -233,15 +233,64 @@ impl Promise {
         causes.extend(self.turned(&goal, seen, size_m));
         let shares = (1..=60).map(|k| 0.05 * f64::from(k));
         causes.extend(shares.map(|s| (Contradiction::Share(s), left([s * x, s * y], s * turn))));
+        causes
+    }
+
+    /// The simplest of what explains an error to within `leaves_m` of the view.
+    fn cause(&self, seen: &PoseError, mover: &Mover<'_>, leaves_m: f64) -> Contradiction {
+        let causes = self.causes(seen, mover);
         let best = causes.iter().map(|c| c.1).fold(f64::INFINITY, f64::min);
-        // What explains no more than that all went as it was told is no cause: a rotation that stands where none was asked for.
-        let (off_m, off_rad) = apart(&goal, seen);
-        let most_m = (best + 0.5 * leaves_m).min(0.5 * off_m.max(size_m * off_rad));
+        let most_m = (best + 0.5 * leaves_m).min(self.half_of_what_is_off(seen, mover));
         let simplest = causes
             .into_iter()
             .find(|(_, left_m)| *left_m <= leaves_m && *left_m <= most_m);
         simplest.map_or(Contradiction::Elsewhere, |(cause, _)| cause)
     }
+
+    /// What explains no more than that all went as it was told is no cause: a rotation that stands where none was asked for.
+    fn half_of_what_is_off(&self, seen: &PoseError, mover: &Mover<'_>) -> f64 {
+        let (off_m, off_rad) = apart(&self.error_at(&self.goal, mover), seen);
+        0.5 * off_m.max(size_m(mover) * off_rad)
+    }
+
+    /// How well each cause explains what was seen: it does up to 1.
+    pub(super) fn fits(&self, seen: &PoseEstimate, mover: &Mover<'_>, view_m: f64) -> Fits {
+        let [a, b, _] = seen.sigma();
+        let unsure_m = SIGMAS * (self.sigma_m.powi(2) + a * a + b * b).sqrt() + view_m;
+        let way_m = apart(&self.from, &self.error_at(&self.goal, mover)).0;
+        let by_m = [0, 1].map(|k| self.goal.x_m[k] - self.before.x_m[k]);
+        let gone_m = way_m.max(f64::hypot(by_m[0], by_m[1]));
+        let off_m = self.half_of_what_is_off(&seen.error, mover);
+        let leaves_m = (unsure_m + LEAVES * gone_m).min(off_m).max(1e-9);
+        let causes = self.causes(&seen.error, mover).into_iter();
+        // A turn is read off a move, and fits it.
+        let each = causes.filter(|(cause, _)| !matches!(cause, Contradiction::Turned(_)));
+        Fits(
+            each.map(|(cause, left_m)| (cause, left_m / leaves_m))
+                .collect(),
+        )
+    }
+}
+
+/// How well each cause explains a move, the simplest first.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Fits(Vec<(Contradiction, f64)>);
+
+impl Fits {
+    /// The simplest that explains this move and another one.
+    pub(super) fn both(&self, other: &Self) -> Option<Contradiction> {
+        let all = std::iter::zip(&self.0, &other.0);
+        let worse: Vec<_> = all.map(|(a, b)| (a.0, a.1.max(b.1))).collect();
+        let best = worse.iter().map(|w| w.1).fold(f64::INFINITY, f64::min);
+        let most = 1f64.min(best + 0.5);
+        let simplest = worse.into_iter().find(|(_, fit)| *fit <= most);
+        simplest.map(|(cause, _)| cause)
+    }
+}
+
+/// Half of a view's width, m.
+fn size_m(mover: &Mover<'_>) -> f64 {
+    0.5e-6 * mover.view.um_per_px() * mover.view.image_size_px[0] as f64
 }
 
 impl Promise {
@@ -289,10 +338,8 @@ mod tests {
     use crate::servo::refit::Refit;
     use scopeservo_scope::ObjectiveId;
 
-    /// After a loss a small step of both axes tells what is wrong, however far the target is still off.
-    #[test]
-    fn a_small_step_with_a_calibration_in_doubt_tells_signs_exchanged_and_standing_axes() {
-        let known = Calibration {
+    fn known() -> Calibration {
+        Calibration {
             schema: crate::CALIBRATION_SCHEMA,
             objective: ObjectiveId("10x".into()),
             image_size_px: [640, 480],
@@ -306,25 +353,110 @@ mod tests {
                 sigma: [0.0; 3],
             }),
             scatter: Some([2e-7, 2e-7, 3e-6]),
-        };
-        let mover = Mover {
+        }
+    }
+
+    fn mover(view: &Calibration) -> Mover<'_> {
+        Mover {
             kinematics: Kinematics::MovesMicroscope,
-            view: &Refit::doubting(true).believed(&known),
+            view,
             scatter: [2e-7, 2e-7, 3e-6],
-        };
-        let estimate = |error| PoseEstimate {
+        }
+    }
+
+    fn estimate(error: PoseError) -> PoseEstimate {
+        PoseEstimate {
             error,
             covariance: [[1e-14, 0.0, 0.0], [0.0, 1e-14, 0.0], [0.0, 0.0, 1e-8]],
-        };
-        let from = estimate(PoseError {
+        }
+    }
+
+    fn begins() -> PoseEstimate {
+        estimate(PoseError {
             t_m: [-1.7e-4, -5.0e-4],
             theta_rad: 0.035,
-        });
-        let [x, y] = [9.1e-5, 5.4e-5];
-        let at = |x_m| PlanarPose {
+        })
+    }
+
+    fn at(x_m: Vec2) -> PlanarPose {
+        PlanarPose {
             x_m,
             theta_rad: 0.0,
+        }
+    }
+
+    /// What one move leaves open a second one tells: the cause must explain both.
+    #[test]
+    fn two_moves_are_named_by_what_explains_both() {
+        let known = known();
+        let mover = mover(&known);
+        let from = begins();
+        let went = |told: Vec2, went: Vec2| {
+            let promise = Promise::of(&from, (at([0.0; 2]), at(told)), &mover, 0.0);
+            let seen = estimate(promise.error_at(&at(went), &mover));
+            let Kept::No(alone) = promise.kept(&seen, &mover, 2.2e-6) else {
+                panic!("{told:?} {went:?}");
+            };
+            (alone, promise.fits(&seen, &mover, 2.2e-6))
         };
+        let d = 2e-4;
+        use Contradiction as C;
+        type Goes = fn(Vec2) -> Vec2;
+        let cases: [(Vec2, Goes, C, Option<C>); 5] = [
+            (
+                [d, 0.0],
+                |[x, y]| [-x, y],
+                C::Reversed,
+                Some(C::AxisReversed(Axis::X)),
+            ),
+            (
+                [0.0, -d],
+                |[x, y]| [x, -y],
+                C::Reversed,
+                Some(C::AxisReversed(Axis::Y)),
+            ),
+            (
+                [d, 0.0],
+                |[_, y]| [0.0, y],
+                C::NothingMoved,
+                Some(C::AxisStands(Axis::X)),
+            ),
+            ([d, -d], |[x, y]| [y, x], C::Reversed, Some(C::Swapped)),
+            (
+                [d, d],
+                |[x, y]| [0.4 * x, 0.4 * y],
+                C::Share(0.4),
+                Some(C::Share(0.4)),
+            ),
+        ];
+        for (first, goes, alone, both) in cases {
+            let (named, one) = went(first, goes(first));
+            assert_eq!(named, alone, "{first:?}");
+            let second = [0.5 * d, 0.8 * d];
+            let (_, two) = went(second, goes(second));
+            let joint = two.both(&one);
+            let is = match (joint, both) {
+                (Some(C::Share(a)), Some(C::Share(b))) => (a - b).abs() < 0.06,
+                (a, b) => a == b,
+            };
+            assert!(is, "{first:?}: {joint:?}, not {both:?}");
+        }
+        // Pushed twice, by chance the first time as if x were reversed.
+        let (_, one) = went([d, d], [-d, d]);
+        let (_, two) = went([d, d], [1.3 * d, -0.4 * d]);
+        assert_eq!(two.both(&one), None);
+    }
+
+    /// After a loss a small step of both axes tells what is wrong, however far the target is still off.
+    #[test]
+    fn a_small_step_with_a_calibration_in_doubt_tells_signs_exchanged_and_standing_axes() {
+        let known = known();
+        let mover = Mover {
+            view: &Refit::doubting(true).believed(&known),
+            ..mover(&known)
+        };
+        let from = begins();
+        let [x, y] = [9.1e-5, 5.4e-5];
         let moved = (at([0.0; 2]), at([x, y]));
         let promise = Promise::of(&from, moved, &mover, 0.0);
         let after = |x_m| {

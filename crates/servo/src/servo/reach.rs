@@ -18,15 +18,18 @@ const PARCENTRIC_M: f64 = 20e-6;
 const PARTS: u32 = 400;
 
 impl Servo {
-    /// The end of a loop whose stage cannot bring the view back. Where only its rotation is too short, and the angle may be left, the loop goes
+    /// The end of a loop whose stage cannot bring a view back that does not pass. Where only its rotation is too short, and the angle may be left, the loop goes
     /// on without it.
     pub(crate) fn cannot_reach(
         &mut self,
         task: &ServoTask<'_>,
         scope: &Instrument,
         test: &mut Criteria<'_>,
-        (sight, located): (&Sight<'_>, &Located),
+        (sight, located, passes): (&Sight<'_>, &Located, bool),
     ) -> Result<Option<ServoEnd>, ServoError> {
+        if passes {
+            return Ok(None);
+        }
         let goals = scope.gate().goals()?;
         let error = &located.pose.error;
         // Where the view is back, but for a share of the angle.

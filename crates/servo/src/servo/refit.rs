@@ -1,6 +1,6 @@
 //! What moves say of a calibration that does not quite hold: how far scale, camera angle and rotation centre are off.
 
-use crate::{Calibration, Known};
+use crate::{Attempt, Calibration, Known};
 use scopeservo_geometry::{Mat2, Vec2, cholesky_inverse};
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
@@ -43,6 +43,14 @@ pub enum Remark {
         /// The scale that was seen over the one that was expected.
         factor: f64,
     },
+    /// Something was tried where the run could not go on as it was.
+    Tried {
+        /// The objective that was in.
+        objective: ObjectiveId,
+        /// What.
+        #[serde(flatten)]
+        attempt: Attempt,
+    },
     /// A move did not do what it was to do, and the next one did.
     Contradicted {
         /// The objective that was in.
@@ -73,10 +81,20 @@ impl Refit {
         }
     }
 
-    /// Whether what is off is more than what is not known of it.
-    pub(crate) fn shows(&self) -> bool {
-        let surely = |k: &Known| k.value.abs() > SURE * k.sigma;
-        self.estimate().iter().any(surely)
+    /// Whether what is off is more than what is not known of it, by the moves and by the calibration that made them. One that is doubted, or
+    /// does not know how good it is, says nothing.
+    pub(crate) fn shows(&self, view: &Calibration) -> bool {
+        let known = match (self.doubted, &view.covariance) {
+            (true, _) => [0.0; 4],
+            (false, None) => return false,
+            (false, Some(c)) => {
+                let map: f64 = (0..4).map(|k| c[k][k]).sum::<f64>() / 4.0;
+                let share = map.sqrt() / (1e-6 * view.um_per_px());
+                [share, share, c[4][4].sqrt(), c[5][5].sqrt()]
+            }
+        };
+        let surely = |(k, known): (&Known, f64)| k.value.abs() > SURE * f64::hypot(k.sigma, known);
+        self.estimate().iter().zip(known).any(surely)
     }
 
     /// Takes a move that was to change the error by `way_m` and ended `off_m` beside that, standard deviation `sigma_m`. By `lever` the view

@@ -182,13 +182,12 @@ impl<'a> Sight<'a> {
         to.request(&self.present)
     }
 
-    /// The event that tells of it, with the velocity that answers it.
+    /// The event that tells of it, with the velocity that answers it, in an iteration; whether the stage turns, and whether it passes.
     pub(crate) fn event(
         &self,
         task: &ServoTask<'_>,
-        iteration: usize,
+        (iteration, turns, converged): (usize, bool, bool),
         promised: Option<Promised>,
-        (velocity, converged): (Velocity, bool),
     ) -> Event {
         let registration = &self.measured.registration;
         Event::Iteration {
@@ -197,7 +196,7 @@ impl<'a> Sight<'a> {
             sequence: self.view.sequence,
             stage: self.present,
             error: self.located.pose.error,
-            velocity,
+            velocity: task.velocity(&self.located.pose, turns),
             target_from_view: self.located.estimate.target_from_view,
             inliers: registration.inliers,
             matches: registration.matches,

@@ -18,6 +18,9 @@ pub struct Servo {
     /// The stage cannot turn as far as the target is turned, and may leave that.
     #[serde(default)]
     pub(super) leaves_angle: bool,
+    /// Moves came no nearer, and go to their goals from below since.
+    #[serde(default)]
+    pub(super) from_below: bool,
     /// The error where the target was last seen, before a move that lost it.
     #[serde(default)]
     pub(super) last_seen: Option<PoseError>,

@@ -35,6 +35,17 @@ pub struct ServoTask<'a> {
 }
 
 impl<'a> ServoTask<'a> {
+    /// The same with another calibration of the active objective.
+    pub(crate) fn by<'b>(&self, view_calibration: &'b Calibration) -> ServoTask<'b>
+    where
+        'a: 'b,
+    {
+        ServoTask {
+            view_calibration,
+            ..*self
+        }
+    }
+
     /// Whether this is the target's own objective, where passing the test means arrival.
     pub(crate) fn is_arrival(&self) -> bool {
         self.view_calibration.objective == self.target_calibration.objective

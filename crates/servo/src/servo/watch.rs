@@ -1,8 +1,9 @@
 //! The camera as an encoder: how the promises of moves were kept, and what follows of it.
 
-use super::promise::{DRIFTED_CENTRE_M, Kept, Mover, Promise, Promised};
+use super::promise::{DRIFTED_CENTRE_M, Fits, Kept, Mover, Promise, Promised};
 use super::refit::{Refit, Remark};
-use crate::{Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity};
+use crate::attempt::Tried;
+use crate::{Attempt, Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity};
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -37,6 +38,9 @@ pub(crate) struct Watch {
     pub(crate) promise: Option<Promise>,
     /// Promises in a row that were not kept, and why, where something was seen of it.
     broken: Option<(u8, Option<Contradiction>)>,
+    /// How well each cause explains the last of them.
+    #[serde(default)]
+    fits: Option<Fits>,
     #[serde(default)]
     trust: Trust,
     /// Frames since the last move in which nothing had moved yet.
@@ -53,6 +57,9 @@ pub(crate) struct Watch {
     /// What was seen of the instrument, and went on.
     #[serde(default)]
     remarks: Vec<Remark>,
+    /// What loops tried in this run.
+    #[serde(default)]
+    tried: Tried,
 }
 
 /// A small step moves the view by this share of its shorter side: x and y of the stage by these shares of it, which are not the same.
@@ -67,14 +74,17 @@ const LOOKS: u8 = 8;
 impl Watch {
     /// In another leg. `first`: its objective has not seen the target yet.
     pub(crate) fn handed_over(self, first: bool) -> Self {
+        let wary = self.is_wary();
         Self {
             promise: self.promise,
             broken: self.broken,
+            fits: self.fits,
             handed: self.promise.is_some(),
             stays: first && self.promise.is_some(),
             // Where it went back before, it goes on in small steps.
             trust: self.trust.after_a_change(),
-            refit: Refit::doubting(self.is_wary()),
+            refit: Refit::doubting(wary),
+            tried: self.tried,
             ..Self::default()
         }
     }
@@ -101,7 +111,16 @@ impl Watch {
                 (self.promise, self.looks, self.handed) = (Some(promise), looks + 1, handed);
                 return Some(Kept::NotYet);
             }
-            Kept::No(why) => self.breaks(Some(why)),
+            Kept::No(why) => {
+                let fits = promise.fits(seen, mover, view_m);
+                let both = self.fits.as_ref().and_then(|first| fits.both(first));
+                self.breaks(Some(why));
+                // What explains both moves is better than what explains each.
+                if let Some((_, named)) = self.broken.as_mut().filter(|_| both.is_some()) {
+                    *named = both;
+                }
+                self.fits = Some(fits);
+            }
             // It moved, and was not shown at once.
             _ if looks > 0 => self.broken = Some((BROKEN, Some(Contradiction::Late(looks)))),
             _ => {
@@ -114,10 +133,15 @@ impl Watch {
                         um: 1e6 * f64::hypot(off_m[0], off_m[1]),
                     }),
                     true => {}
-                    false => self.refit.take(way_m, off_m, lever, promise.sigma_m),
+                    false => {
+                        let [a, b, _] = seen.sigma();
+                        let sigma_m = f64::hypot(promise.sigma_m, f64::hypot(a, b));
+                        self.refit.take(way_m, off_m, lever, sigma_m);
+                    }
                 }
-                // Where a move has lost the target less is promised, and what is off shows in the fit.
-                let shows = kept == Kept::Drifted || self.refit.doubted && self.refit.shows();
+                // Where a move has lost the target less is promised, and what is off shows in the fit; so it does where each of several moves
+                // was within what is uncertain, and all of them went wrong alike.
+                let shows = kept == Kept::Drifted || self.refit.shows(mover.view);
                 let drifts = shows && !handed;
                 if drifts && !std::mem::replace(&mut self.refit.drifted, true) {
                     self.remarks
@@ -144,6 +168,7 @@ impl Watch {
             Trust::Turn => self.trust = Trust::Regained,
             Trust::Whole | Trust::Regained => {}
         }
+        self.fits = None;
         if let Some((_, why)) = self.broken.take() {
             self.remarks.push(Remark::Contradicted {
                 objective: objective.clone(),
@@ -157,6 +182,18 @@ impl Watch {
         let objective = objective.clone();
         self.remarks
             .push(Remark::ScalesDisagree { objective, factor });
+    }
+
+    /// Takes an attempt; whether it is the first of its kind.
+    pub(crate) fn tries(&mut self, objective: &ObjectiveId, attempt: &Attempt) -> bool {
+        let first = self.tried.first(attempt);
+        if first {
+            self.remarks.push(Remark::Tried {
+                objective: objective.clone(),
+                attempt: attempt.clone(),
+            });
+        }
+        first
     }
 
     /// What was seen of the instrument, as it is known now, in the order in which it was seen.

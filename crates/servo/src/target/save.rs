@@ -146,7 +146,8 @@ impl SaveTarget {
         let objective = target.objective.clone();
         let of = (&objective, self.um_per_px(scope, &objective)?);
         let first = (&*image, &target.features);
-        let aside = step_aside(scope, sink, of, vision, first, home)?;
+        let go = |to: &StagePose| Ok(scope.move_to(to)?);
+        let aside = step_aside(scope, sink, of, vision, first, (home, &go))?;
         if let Aside::Seen(seen) = &aside
             && !self.went_along(scope, home, seen)?
         {

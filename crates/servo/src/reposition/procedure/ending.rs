@@ -3,7 +3,9 @@
 use super::super::{Left, Leg, MagnificationResult, Outcome, Reason, Verdict, words};
 use super::{Reposition, State, Work};
 use crate::target::MIN_TARGET_FEATURES;
-use crate::{ErrorCode, ErrorKind, Identify, Identity, Progress, ServoEnd, ServoError, Target};
+use crate::{
+    Attempt, ErrorCode, ErrorKind, Identify, Identity, Progress, ServoEnd, ServoError, Sink, Target,
+};
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Instrument, ObjectiveId, ScopeError};
 
@@ -12,10 +14,17 @@ impl Reposition {
     pub(super) fn servoed(
         &mut self,
         scope: &Instrument,
+        sink: &mut dyn Sink,
         target: &Target,
         (leg, end): (Leg, &ServoEnd),
         seen: bool,
-    ) -> Option<Outcome> {
+    ) -> Result<Option<Outcome>, ServoError> {
+        let lost = matches!(end, ServoEnd::Lost(_));
+        // What was looked for in the dark was not looked for.
+        if lost && self.adapts_exposure(scope, sink)? {
+            self.done.pop();
+            return Ok(None);
+        }
         let so_far = self.so_far(scope, target);
         let next = || self.policy().next(&so_far);
         let handed_over = |d: &MagnificationResult| matches!(d.end, ServoEnd::HandedOver { .. });
@@ -26,20 +35,56 @@ impl Reposition {
             ServoEnd::Lost(_) => self.policy().wider(&so_far),
             _ => None,
         };
-        match next {
+        Ok(match next {
             Some(next) => {
+                if lost {
+                    let to = next.objective().clone();
+                    let attempt = Attempt::AnotherObjective { to };
+                    self.tell_attempt(scope, sink, leg.objective().clone(), attempt);
+                }
                 self.bring(scope, next);
                 None
             }
             // Before a view is said not to be there: is it seen with the objective that is said to be in?
-            None if matches!(end, ServoEnd::Lost(_)) => {
+            None if lost => {
                 let identify = Identify::new(leg.objective().clone(), self.options.vision.clone());
                 let work = Work::Identify(Box::new(identify));
                 self.state = State::Under { leg, work };
                 None
             }
             None => Some(self.end(end, target)),
+        })
+    }
+
+    /// A step failed: what is left to try, or the answer that the failure is.
+    pub(super) fn failed(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        error: ServoError,
+    ) -> Result<Option<Outcome>, ServoError> {
+        let answer = match self.goes_on_after(scope, sink, &error) {
+            Ok(true) => return Ok(None),
+            Ok(false) => self
+                .withdraw(scope, &error)
+                .and_then(|()| self.answer(error)),
+            Err(error) => Err(error),
+        };
+        if answer.is_err() {
+            self.exposes_as_before(scope);
         }
+        answer.map(Some)
+    }
+
+    fn goes_on_after(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        error: &ServoError,
+    ) -> Result<bool, ServoError> {
+        Ok(self.tries_again(scope, sink, error)?
+            || self.went_astray(scope, error)?
+            || self.widens_focus(scope, sink, error))
     }
 
     /// What a look at the objective says to a target that was not seen.
@@ -95,7 +140,9 @@ impl Reposition {
         error: &ServoError,
     ) -> Result<(), ServoError> {
         match error {
-            ServoError::Scope(ScopeError::Frozen { .. }) => self.to_the_start(scope),
+            ServoError::Scope(ScopeError::Frozen { .. } | ScopeError::Stale { .. }) => {
+                self.to_the_start(scope)
+            }
             _ => Ok(()),
         }
     }

@@ -247,7 +247,7 @@ fn of_the_camera() -> Vec<Kind> {
             "images 3 late, from the start",
             Start,
             ToldAndBack,
-            &["Late"],
+            &["Late", "stale_images"],
             |t, _| {
                 t.fault(StageFault::StaleFrames(3));
             },
@@ -256,7 +256,7 @@ fn of_the_camera() -> Vec<Kind> {
             "images 3 late, in the middle",
             Middle,
             ToldAndBack,
-            &["Late"],
+            &["Late", "stale_images"],
             |t, _| {
                 t.fault(StageFault::StaleFrames(3));
             },

@@ -172,6 +172,7 @@ fn names(answer: &Answer) -> Outcome<Vec<String>> {
             Remark::Beside { .. } => "beside".into(),
             Remark::ScalesDisagree { .. } => "scales disagree".into(),
             Remark::Contradicted { why, .. } => format!("{why:?}"),
+            Remark::Tried { attempt, .. } => format!("tried {attempt:?}"),
         });
     }
     if answer.message.contains("frozen") {

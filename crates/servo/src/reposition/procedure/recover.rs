@@ -1,0 +1,103 @@
+//! What a run tries, once each, where a leg cannot go on: another exposure, a wider focus.
+
+use super::super::light;
+use super::{Reposition, State, Work};
+use crate::event::tell;
+use crate::{Attempt, ErrorCode, Event, FocusOptions, Remark, ServoError, Sink};
+use scopeservo_scope::{Instrument, ObjectiveId};
+
+/// A wider sweep goes so many times as far from the specimen; towards it, no farther than before.
+const WIDER: f64 = 2.5;
+
+impl Reposition {
+    /// Goes on with the leg that an error ended, where something is left to try.
+    pub(super) fn tries_again(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        error: &ServoError,
+    ) -> Result<bool, ServoError> {
+        let unseen = matches!(
+            error.code(),
+            ErrorCode::NoFocus
+                | ErrorCode::AtLimit
+                | ErrorCode::WrongObjective
+                | ErrorCode::CalibrationFailed
+        );
+        Ok(unseen && self.adapts_exposure(scope, sink)?)
+    }
+
+    /// Exposes otherwise where the view is too dark or too bright, and begins the leg anew.
+    pub(super) fn adapts_exposure(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+    ) -> Result<bool, ServoError> {
+        let State::Under { leg, .. } = &self.state else {
+            return Ok(false);
+        };
+        if self.exposure_before.is_some() {
+            return Ok(false);
+        }
+        let (leg, target) = (leg.clone(), self.target()?);
+        let objective = leg.objective().clone();
+        let Some([before, now]) = light::adapt(scope, sink, &objective, &target)? else {
+            return Ok(false);
+        };
+        self.exposure_before = Some(before);
+        let [from_ms, to_ms] = [before, now].map(|t| 1e3 * t.as_secs_f64());
+        let attempt = Attempt::ExposureAdapted { from_ms, to_ms };
+        self.tell_attempt(scope, sink, objective, attempt);
+        self.bring(scope, leg);
+        Ok(true)
+    }
+
+    /// As the camera was exposed when the run began. What fails is no answer to the run.
+    pub(super) fn exposes_as_before(&mut self, scope: &Instrument) {
+        if let Some(before) = self.exposure_before.take() {
+            let _ = scope.camera().set_exposure(before);
+        }
+    }
+
+    /// Looks for the focus in a wider range, where nothing was seen in the usual one.
+    pub(super) fn widens_focus(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        error: &ServoError,
+    ) -> bool {
+        let unfocused = matches!(error.code(), ErrorCode::NoFocus | ErrorCode::AtLimit);
+        let State::Under {
+            leg,
+            work: Work::Bring(_),
+        } = &self.state
+        else {
+            return false;
+        };
+        let half_range_um = WIDER * self.options.focus.half_range_um;
+        let attempt = Attempt::FocusWidened { half_range_um };
+        if !unfocused || !self.tried.first(&attempt) {
+            return false;
+        }
+        let leg = leg.clone();
+        self.tell_attempt(scope, sink, leg.objective().clone(), attempt);
+        let wider = FocusOptions {
+            half_range_um,
+            ..self.options.focus.clone()
+        };
+        self.bring_within(leg, Some(wider));
+        true
+    }
+
+    pub(super) fn tell_attempt(
+        &mut self,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        objective: ObjectiveId,
+        attempt: Attempt,
+    ) {
+        let remark = Remark::Tried { objective, attempt };
+        self.remarks.push(remark.clone());
+        tell(scope, sink, Event::Remarked { remark });
+    }
+}
