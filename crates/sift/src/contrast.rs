@@ -60,10 +60,7 @@ impl Contrast {
         if high - low <= rounding {
             return None;
         }
-        let (spread, noise) = match adapted {
-            Some(adapted) => adapted,
-            None => (1.0, 0.0),
-        };
+        let (spread, noise) = adapted.unwrap_or((1.0, 0.0));
         let threshold = options.contrast_threshold / options.intervals as f32;
         Some(Self {
             base: (threshold * spread).max(rounding),

@@ -196,7 +196,7 @@ fn with_tables(bytes: Vec<u8>, tables: Option<&[u8]>) -> Vec<u8> {
 }
 
 /// Black and white as faxes send it, packed from the high bit on, where 0 is white.
-fn fax(page: &Page, source: impl Read, [width, rows]: [u32; 2]) -> Result<Vec<u8>, Fault> {
+fn fax(page: &Page, source: impl BufRead, [width, rows]: [u32; 2]) -> Result<Vec<u8>, Fault> {
     let bad = || Fault::Damaged("its fax data make no sense".into());
     let (Ok(width), Ok(rows)) = (u16::try_from(width), u16::try_from(rows)) else {
         return Err(Fault::Unsupported(
