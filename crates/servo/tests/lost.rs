@@ -3,6 +3,7 @@
 mod common;
 
 use common::{Listener, PLACE_UM, bench, one_objective};
+use scopeservo_features::GrayImage;
 use scopeservo_registration::{NotFound, flipped};
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Event, NoSink, Servo, ServoEnd, ServoOptions, ServoTask,
@@ -51,10 +52,12 @@ fn a_target_that_is_there_as_a_mirror_image_only_is_told_so() {
     let bench = bench(one_objective());
     let (vision, options) = (VisionOptions::default(), ServoOptions::default());
     let (mut target, _) = bench.save();
+    let frame = bench.scope.grab().unwrap();
+    let image = GrayImage::new(frame.width, frame.height, frame.luminance()).unwrap();
+    let image = flipped(&image).unwrap();
     let objective = bench.scope.gate().objectives()[0].clone();
     let mut calibrate = Calibrate::new(objective, CalibrateOptions::default(), vision.clone());
     let calibration = run(&mut calibrate, &bench.scope, &mut NoSink).unwrap();
-    let image = flipped(&target.taken.as_ref().unwrap().gray().unwrap()).unwrap();
     target.features = vision
         .engine
         .features(&image, vision.target_features)
