@@ -141,7 +141,11 @@ impl Convergence {
         if moved && criteria.is_arrival {
             self.scatter.take(now.error);
         }
-        if self.passed.len() >= criteria.options.confirmations.max(1) {
+        // What is seen to scatter may do so at rest: two frames alike are chance, and many tell by how much.
+        let needed = self
+            .spread
+            .map_or(criteria.options.confirmations.max(1), |_| SHAKES);
+        if self.passed.len() >= needed {
             let error = mean(&self.passed);
             let result = self.result(Measured { error, ..now });
             Standing::Ended(ServoEnd::Converged(ServoResult {
