@@ -222,7 +222,7 @@ fn play_that_no_calibration_knows_is_taken_up_from_below() {
 }
 
 #[test]
-fn a_view_that_shakes_ends_early_with_what_was_measured() {
+fn a_view_that_shakes_arrives_where_it_is_on_average_or_is_refused() {
     for um in [0.5, 1.0] {
         let ended = come_back(
             &saved().calibration,
@@ -231,18 +231,24 @@ fn a_view_that_shakes_ends_early_with_what_was_measured() {
             },
             |_, _| {},
         );
-        assert!(ended.iterations < 64, "{um}: {}", ended.iterations);
         let message = &ended.outcome.message;
         match ended.outcome.verdict {
             Verdict::Arrived => {
                 // How near it comes shakes as well.
                 assert!(ended.outcome.limited_by.is_some(), "{um}: {message}");
                 let claimed = ended.outcome.estimated_error_um.unwrap();
-                assert!(ended.off.0 <= 1.0 + claimed, "{um}: {:?}", ended.off);
+                assert!(
+                    ended.off.0 <= 1.0 + claimed,
+                    "{um}: {:?} {claimed} {} {message}",
+                    ended.off,
+                    ended.iterations
+                );
             }
-            _ => assert_eq!(
-                ended.outcome.reason,
-                Reason::OutsideTolerance,
+            _ => assert!(
+                matches!(
+                    ended.outcome.reason,
+                    Reason::OutsideTolerance | Reason::IterationLimit | Reason::Drifting
+                ),
                 "{um}: {message}"
             ),
         }

@@ -55,6 +55,9 @@ pub(crate) struct Convergence {
     /// Frames since the last move, where all of them passed.
     #[serde(default)]
     rested: Vec<Measured>,
+    /// Frames that did not confirm one from the same place.
+    #[serde(default)]
+    shaken: u8,
     /// A drift is waited for until then, on the instrument's clock.
     #[serde(default)]
     pub(crate) settles_until_s: Option<f64>,
@@ -73,6 +76,8 @@ pub(crate) struct Convergence {
 const RESTS: u8 = 3;
 /// A view that passed in so many frames from one place, and is not steady enough to be confirmed, shakes: it is where it is on average.
 const SHAKES: usize = 8;
+/// So many frames that did not confirm the one before show that it may.
+const SHAKEN: u8 = 2;
 /// While a drift is waited for it is looked at so many times more seldom.
 const SELDOM: f64 = 2.0;
 
@@ -126,7 +131,8 @@ impl Convergence {
         let first = *self.first.get_or_insert(now.error);
         // What was suspected to drift is confirmed anew.
         if !passes || self.drift.suspected() {
-            self.passed.clear();
+            let contradicts = !std::mem::take(&mut self.passed).is_empty();
+            self.shaken = self.shaken.saturating_add(u8::from(contradicts));
         }
         match passes {
             true => {
@@ -141,7 +147,13 @@ impl Convergence {
         if moved && criteria.is_arrival {
             self.scatter.take(now.error);
         }
-        if self.passed.len() >= criteria.options.confirmations.max(1) {
+        // Of what shakes two frames alike are chance, and many tell by how much.
+        let shakes = self.spread.is_some() || self.settles_until_s.is_some();
+        let needed = match shakes || self.shaken >= SHAKEN {
+            true => SHAKES,
+            false => criteria.options.confirmations.max(1),
+        };
+        if self.passed.len() >= needed {
             let error = mean(&self.passed);
             let result = self.result(Measured { error, ..now });
             Standing::Ended(ServoEnd::Converged(ServoResult {
