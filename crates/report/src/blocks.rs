@@ -3,7 +3,7 @@
 use crate::model::{Report, view_name};
 use crate::svg::Attr;
 use crate::text::{escape, fixed};
-use crate::timeline::Magnification;
+use crate::told::Magnification;
 use std::fmt::Write as _;
 
 /// Of the last view of a magnification whose pixels were asked; empty where there is none, or where its picture was not kept.

@@ -4,7 +4,7 @@ use crate::model::Report;
 use crate::model::TrueCalibration;
 use crate::svg::{Canvas, Mark, Panel, Scale, WIDTH};
 use crate::text::{count, escape, fixed, group, short, um};
-use crate::timeline::Calibrating;
+use crate::told::Calibrating;
 use scopeservo_servo::{Calibration, EXAMPLE_MOVE};
 use std::fmt::Write as _;
 

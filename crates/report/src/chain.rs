@@ -4,7 +4,7 @@ use crate::matches::drawing;
 use crate::model::{Report, view_name};
 use crate::svg::{Attr, Canvas, Key, Mark, Panel, Scale, WIDTH, equal_panel, nice_step};
 use crate::text::{count, escape, fixed, short, um};
-use crate::timeline::{Calibrating, Ended, Look};
+use crate::told::{Calibrating, Ended, Look};
 use scopeservo_servo::joint::Role;
 use scopeservo_servo::{ChainPair, ChainPlace};
 use std::fmt::Write as _;

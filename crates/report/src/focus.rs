@@ -3,7 +3,7 @@
 use crate::model::Report;
 use crate::svg::{Attr, Canvas, Mark, Panel, Scale};
 use crate::text::{count, escape, fixed};
-use crate::timeline::Sweep;
+use crate::told::Sweep;
 use std::fmt::Write as _;
 
 pub(crate) fn section(r: &Report<'_>) -> String {

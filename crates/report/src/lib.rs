@@ -29,16 +29,19 @@ mod plots;
 mod promises;
 mod provenance;
 mod recorder;
+mod stored;
 mod summary;
 mod svg;
 mod text;
 mod timeline;
+mod told;
 mod views;
 mod work;
 
 pub use model::{
-    Context, Convergence, Failure, Stored, TrueCalibration, TrueIteration, Truth, Work, WorkEnd,
+    Context, Convergence, Failure, TrueCalibration, TrueIteration, Truth, Work, WorkEnd,
 };
 pub use page::html;
 pub use recorder::Recorder;
+pub use stored::Stored;
 pub use work::work_html;

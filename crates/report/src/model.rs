@@ -1,6 +1,7 @@
 //! What the parts of the page read, and what is said about a run beside what happened in it.
 
 use crate::picture::Gallery;
+use crate::stored::Stored;
 use crate::timeline::Timeline;
 use scopeservo_servo::{Calibration, Verdict};
 use serde::{Deserialize, Serialize};
@@ -163,15 +164,4 @@ pub struct Context {
     /// Calibrations that were known before, the newest of each objective last.
     #[serde(default)]
     pub stored: Vec<Stored>,
-}
-
-/// A calibration that was made before the run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Stored {
-    /// The calibration.
-    pub calibration: Calibration,
-    /// Where it is kept.
-    pub file: String,
-    /// When it was made, as people read it; empty where that is not known.
-    pub made: String,
 }

@@ -4,7 +4,7 @@ use crate::model::{Report, view_name};
 use crate::promises;
 use crate::svg::{Canvas, Key, Mark, Panel, Scale, WIDTH, equal_panel};
 use crate::text::{deg, fixed, um};
-use crate::timeline::Magnification;
+use crate::told::Magnification;
 
 const XY: [Key; 2] = [
     Key {
@@ -125,11 +125,11 @@ fn motion(
     m: &Magnification<'_>,
     name: &str,
     per: &str,
-    of: impl Fn(&crate::timeline::Iteration<'_>) -> ([f64; 2], f64),
+    of: impl Fn(&crate::told::Iteration<'_>) -> ([f64; 2], f64),
 ) -> String {
     let curve = |f: &dyn Fn(([f64; 2], f64)) -> f64| -> Vec<[f64; 2]> {
         let point = |i| {
-            let i: &crate::timeline::Iteration<'_> = i;
+            let i: &crate::told::Iteration<'_> = i;
             [i.iteration as f64, f(of(i))]
         };
         m.iterations.iter().map(point).collect()

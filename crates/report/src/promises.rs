@@ -2,7 +2,7 @@
 
 use crate::svg::{Attr, Canvas, Mark, Scale, WIDTH, equal_panel};
 use crate::text::{deg, um};
-use crate::timeline::Magnification;
+use crate::told::Magnification;
 use scopeservo_servo::{PoseError, Promised};
 use std::fmt::Write as _;
 

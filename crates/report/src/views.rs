@@ -5,7 +5,8 @@ use crate::picture::aim;
 use crate::plots;
 use crate::recorder::SHOWN_ITERATIONS;
 use crate::text::{count, deg, escape, fixed, um};
-use crate::timeline::{Magnification, outline};
+use crate::timeline::outline;
+use crate::told::Magnification;
 use scopeservo_servo::Calibration;
 use std::fmt::Write as _;
 

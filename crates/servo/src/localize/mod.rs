@@ -1,14 +1,16 @@
 //! Where a target lies in a frame. A localizer is one file here, or anything that implements [`Localizer`].
 
+mod chosen;
 mod correlation;
 mod features;
 
-use crate::{FixedPlaces, ServoError, Target, VisionOptions};
+use crate::{FixedPlaces, ServoError, Target};
 use scopeservo_features::{Features, GrayImage};
 use scopeservo_registration::{Correspondences, Estimate, NotFound, Prior, Registration, Rival};
 use std::borrow::Cow;
 use std::fmt::Debug;
 
+pub(crate) use chosen::with_localizer;
 pub use correlation::CorrelationLocalizer;
 pub use features::FeatureLocalizer;
 
@@ -34,17 +36,6 @@ pub struct Measurement {
     pub features: Option<Features>,
     /// Other transforms that the localizer saw on its way to say as much.
     pub rivals: Vec<Rival>,
-}
-
-/// Asks the localizer that the options say.
-pub(crate) fn with_localizer<T>(
-    vision: &VisionOptions,
-    ask: impl FnOnce(&dyn Localizer) -> T,
-) -> T {
-    match vision.correlation {
-        true => ask(&CorrelationLocalizer { vision }),
-        false => ask(&FeatureLocalizer { vision }),
-    }
 }
 
 /// Finds a target in views.
