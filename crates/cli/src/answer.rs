@@ -26,7 +26,9 @@ const PATIENCE: Duration = Duration::from_secs(2);
 macro_rules! tell {
     ($($arg:tt)*) => {{
         use std::io::Write as _;
-        let _ = crate::bar::beside(|| writeln!(std::io::stderr(), $($arg)*));
+        // Made before: nothing is drawn while it is written, and what draws would wait for itself.
+        let line = format!($($arg)*);
+        let _ = crate::bar::beside(|| writeln!(std::io::stderr(), "{line}"));
     }};
 }
 

@@ -78,8 +78,7 @@ impl Watcher {
                 identity,
             } => {
                 // Who turned the nosepiece is told, bar or not, and before being asked again.
-                self.bar
-                    .suspend(|| tell!("{}", identified(objective, identity)));
+                tell!("{}", identified(objective, identity));
             }
             Event::CalibrationView { index, .. } => {
                 self.show(CALIBRATE * (*index as f64 / CALIBRATION_VIEWS).min(1.0));
