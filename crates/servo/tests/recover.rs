@@ -133,7 +133,7 @@ fn is_back(ended: &Ended) {
 #[test]
 fn a_view_too_dark_or_too_bright_is_exposed_anew_and_the_camera_put_back() {
     let exposed = |bench: &Bench| bench.scope.camera().exposure().unwrap();
-    for times in [0.002, 0.004, 8.0] {
+    for times in [0.002, 8.0, 14.0] {
         let was = exposed(&turntable());
         let wrong = was.mul_f64(times);
         let ended = come_back(
@@ -144,7 +144,12 @@ fn a_view_too_dark_or_too_bright_is_exposed_anew_and_the_camera_put_back() {
             |_, _| {},
         );
         is_back(&ended);
-        let [Attempt::ExposureAdapted { from_ms, to_ms }] = ended.attempts[..] else {
+        // What is measured in the dark scatters, and may be taken for play first.
+        let tried = match &ended.attempts[..] {
+            [Attempt::OtherSide, rest @ ..] => rest,
+            all => all,
+        };
+        let [Attempt::ExposureAdapted { from_ms, to_ms }] = tried else {
             panic!("{times}: {:?}", ended.attempts);
         };
         let ms = |t: std::time::Duration| 1e3 * t.as_secs_f64();

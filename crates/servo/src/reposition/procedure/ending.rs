@@ -20,8 +20,12 @@ impl Reposition {
         seen: bool,
     ) -> Result<Option<Outcome>, ServoError> {
         let lost = matches!(end, ServoEnd::Lost(_));
-        // What was looked for in the dark was not looked for.
-        if lost && self.adapts_exposure(scope, sink)? {
+        // What was looked for in the dark was not looked for, and what is measured there scatters.
+        let unsure = matches!(
+            end,
+            ServoEnd::OutsideTolerance { .. } | ServoEnd::IterationLimit(_) | ServoEnd::Diverged(_)
+        );
+        if (lost || unsure) && self.adapts_exposure(scope, sink)? {
             self.done.pop();
             return Ok(None);
         }
