@@ -6,7 +6,11 @@ use crate::gcode::talk::PLAN_TOLERANCE_MM;
 use crate::session::{Exchange, device, lock};
 use crate::turret::Part;
 use scopeservo_scope::{Axis, Motion, ScopeError, Stage, StagePose};
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+/// From its "ok" to a move a board takes so long at most until the move is in its plan; it is asked so often.
+const PLANS_WITHIN: Duration = Duration::from_millis(150);
+const PLAN_ASKINGS: u32 = 6;
 
 impl GcodeStage {
     pub(super) fn poll_in(&self, ex: &mut Exchange<'_>) -> Result<Motion, ScopeError> {
@@ -94,14 +98,23 @@ impl GcodeStage {
             *lock(&self.doing) = before;
             return Err(e);
         }
-        // Firmware clips to its own limits without a word.
-        let report = self.talk.position(&mut ex)?;
-        let planned = |(letter, place): &(char, f64)| {
-            let there = report.planned_mm_of(*letter).unwrap_or(f64::NAN);
-            (there - place).abs() <= PLAN_TOLERANCE_MM
-        };
-        // A stop meanwhile has changed the plan.
-        if self.session.stops() == stops && !named.iter().all(planned) {
+        // Firmware clips to its own limits without a word; and some says "ok" a moment before it plans.
+        let mut is_planned = false;
+        for asking in 0..PLAN_ASKINGS {
+            if asking > 0 {
+                std::thread::sleep(PLANS_WITHIN / PLAN_ASKINGS);
+            }
+            let report = self.talk.position(&mut ex)?;
+            is_planned = named.iter().all(|(letter, place)| {
+                let there = report.planned_mm_of(*letter).unwrap_or(f64::NAN);
+                (there - place).abs() <= PLAN_TOLERANCE_MM
+            });
+            // A stop meanwhile has changed the plan.
+            if is_planned || self.session.stops() != stops {
+                break;
+            }
+        }
+        if self.session.stops() == stops && !is_planned {
             drop(ex);
             self.stop()?;
             return Err(device(
