@@ -440,3 +440,30 @@ fn blocks_without_features_are_asked_alone_where_there_are_enough() {
     let all = weigh(&case.pictures(), &case.target_from_view, &everywhere);
     assert!(!all.held_out && all.asked > seen.asked, "{all:?}");
 }
+
+/// Features lie on what both images show, so that the blocks without any are those that something covers.
+#[test]
+fn what_covers_a_third_is_no_evidence_and_what_looks_alike_in_a_quarter_is() {
+    let other = Scene::new(77).image(&placed([0.0; 2], 0.4, 1.0), 1.0);
+    let seen = |seed: u64, alike: f64| {
+        let case = case(seed, 1.0, 0.1, [0.6, 0.6])
+            .view(|p, v| if p[0] < alike { v } else { at(&other, p) })
+            .noisy(0.01);
+        let fitted: Vec<Vec2> = (0..4800)
+            .map(|i| [4.0 * (i % 80) as f64, 4.0 * (i / 80) as f64])
+            .filter(|p| p[0] < alike)
+            .collect();
+        weigh(&case.pictures(), &case.target_from_view, &fitted)
+    };
+    for seed in [81, 82, 83] {
+        for alike in [208.0, 256.0] {
+            let covered = seen(seed, alike);
+            assert_ne!(covered.judgement, Judgement::Contradicts, "{covered:?}");
+        }
+        for alike in [48.0, 80.0] {
+            let elsewhere = seen(seed, alike);
+            assert_eq!(elsewhere.judgement, Judgement::Contradicts, "{elsewhere:?}");
+            assert!(elsewhere.held_out);
+        }
+    }
+}

@@ -30,6 +30,9 @@ const AGREES: f64 = -6.0;
 const CONTRADICTS: f64 = 0.0;
 /// of at least so many.
 const LEAST_BLOCKS: usize = 10;
+/// Blocks without features are also those that something covers. Where this share of all blocks agrees, with features or without, they are no
+/// evidence against a transform: under a wrong one a fortieth does.
+const COVERED_AT_MOST: f64 = 0.5;
 
 /// What the pixels say of a transform.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -81,6 +84,8 @@ pub fn weigh(pictures: &Pictures<'_>, target_from_view: &Affine2, fitted: &[Vec2
     let scale = target_from_view.linear.det().abs().sqrt();
     let side_px = SIDE as f64 * (1.0 / scale).max(1.0);
     let asked = asked(pictures, target_from_view);
+    let all_agree = asked.iter().filter(|(w, _)| w.agrees).count() as f64;
+    let covered = all_agree >= COVERED_AT_MOST * asked.len() as f64;
     let (free, used): (Vec<_>, Vec<_>) = asked.into_iter().partition(|(witness, _)| {
         let near = |p: &Vec2| {
             let off = [0, 1].map(|k| (p[k] - witness.in_view[k]).abs());
@@ -98,7 +103,10 @@ pub fn weigh(pictures: &Pictures<'_>, target_from_view: &Affine2, fitted: &[Vec2
     let agreeing = energy(&mut counted.iter().filter(|(w, _)| w.agrees));
     let log10_chance = (agree > 0).then(|| log10_nfa(0, counted.len(), agree, CHANCE));
     Evidence {
-        judgement: judgement(counted.len(), log10_chance),
+        judgement: match judgement(counted.len(), log10_chance) {
+            Judgement::Contradicts if covered => Judgement::CannotTell,
+            judgement => judgement,
+        },
         asked: counted.len(),
         agree,
         held_out,
