@@ -6,12 +6,10 @@ use crate::bar;
 use crate::beginning;
 use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder as _};
 use scopeservo_library::files::{try_folder, write_new};
-use scopeservo_library::{LibraryError, Targets as _};
+use scopeservo_library::{LibraryError, Targets as _, png_of};
 use scopeservo_protocol::Place;
-use scopeservo_scope::{Axis, Channels, Frame, Motion, ObjectiveId, Samples};
+use scopeservo_scope::{Axis, Motion, ObjectiveId};
 use serde_json::json;
 use std::path::Path;
 
@@ -88,7 +86,7 @@ pub(crate) fn snap(args: &SnapArgs, answer: &Answer) -> Result<bool, CliError> {
     let frame = opened.scope.grab()?;
     let objective = opened.scope.gate().current_objective()?;
     let at = opened.scope.gate().position()?;
-    let bytes = png(&frame).map_err(|e| CliError::Internal(e.to_string()))?;
+    let bytes = png_of(&frame)?;
     match write_new(&args.file, &bytes) {
         Ok(true) => {}
         Ok(false) => return Err(there_already(&args.file)),
@@ -147,26 +145,6 @@ fn there_already(file: &Path) -> CliError {
         "{} is there already and is not overwritten: move it away, or name another file",
         file.display()
     ))
-}
-
-/// An image in its full depth.
-fn png(frame: &Frame) -> Result<Vec<u8>, image::ImageError> {
-    let shift = 16_u32.saturating_sub(frame.bit_depth.into());
-    let (bytes, color) = match (&frame.samples, frame.channels) {
-        (Samples::U8(s), Channels::Gray) => (s.clone(), ExtendedColorType::L8),
-        (Samples::U8(s), Channels::Rgb) => (s.clone(), ExtendedColorType::Rgb8),
-        (Samples::U16(s), channels) => (
-            s.iter().flat_map(|v| (v << shift).to_ne_bytes()).collect(),
-            match channels {
-                Channels::Gray => ExtendedColorType::L16,
-                Channels::Rgb => ExtendedColorType::Rgb16,
-            },
-        ),
-    };
-    let mut png = Vec::new();
-    let (width, height) = (frame.width as u32, frame.height as u32);
-    PngEncoder::new(&mut png).write_image(&bytes, width, height, color)?;
-    Ok(png)
 }
 
 pub(crate) fn objective(args: &ObjectiveArgs, answer: &Answer) -> Result<bool, CliError> {

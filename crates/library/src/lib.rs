@@ -26,7 +26,7 @@ pub use journal::{Journal, JournalHead, JournalStep, Journalled};
 pub use names::utc;
 pub use nosepieces::{KeptSwitching, Nosepieces};
 pub use runs::{RunHead, RunLog, Runs};
-pub use target_file::KeptTarget;
+pub use target_file::{KeptTarget, png_of};
 pub use targets::Targets;
 
 /// Everything that is kept of an instrument.

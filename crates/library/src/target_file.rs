@@ -116,7 +116,7 @@ pub(crate) fn encode(kept: &KeptTarget) -> Result<(Vec<u8>, String), LibraryErro
     };
     let mut members = vec![("target.json", crate::folder::to_json(&head)?)];
     if let Some(taken) = taken {
-        members.push(("image.png", picture(&taken.frame)?));
+        members.push(("image.png", png_of(&taken.frame)?));
         if let Some(shadows) = &taken.flat_field {
             members.push(("shadows.png", cameras::to_png(shadows)?));
         }
@@ -281,8 +281,11 @@ fn taken(
 }
 
 /// A frame as a PNG that viewers show in its true brightness, and nothing is lost of.
-fn picture(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
-    let shift = 16 - u32::from(frame.bit_depth);
+///
+/// # Errors
+/// [`LibraryError`] when it cannot be encoded.
+pub fn png_of(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
+    let shift = 16_u32.saturating_sub(frame.bit_depth.into());
     let (bytes, color) = match (&frame.samples, frame.channels) {
         (Samples::U8(s), Channels::Gray) => (s.clone(), ExtendedColorType::L8),
         (Samples::U8(s), Channels::Rgb) => (s.clone(), ExtendedColorType::Rgb8),

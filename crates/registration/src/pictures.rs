@@ -241,8 +241,7 @@ fn places_stay(answer: &Registration, sensor: &Affine2) -> bool {
         || few && (most(&|way| way[0] <= near) || most(&|way| way[1] <= near))
 }
 
-/// Columns in the other order.
-/// An image turned over from left to right.
+/// An image turned over from left to right: its columns in the other order.
 ///
 /// # Errors
 /// [`FeatureError`] when there is no memory for it.
