@@ -176,6 +176,11 @@ impl CliError {
                     shell(objective)
                 );
             }
+            Self::Library(LibraryError::DamagedJournal { .. }) => {
+                return format!(
+                    "{self}. Look where the stage stands; `scopeservo abandon` puts it aside"
+                );
+            }
             Self::Setup(error) => error.remedy().map(Remedy::Scope),
             _ => None,
         };
@@ -218,7 +223,9 @@ fn library_code(error: &LibraryError) -> Code {
         LibraryError::CannotWrite { .. } => Code::CannotWrite,
         LibraryError::NotKept { .. } => Code::NotKept,
         LibraryError::Read { .. } => Code::CannotRead,
-        LibraryError::Damaged { .. } | LibraryError::DamagedCalibration { .. } => Code::Damaged,
+        LibraryError::Damaged { .. }
+        | LibraryError::DamagedCalibration { .. }
+        | LibraryError::DamagedJournal { .. } => Code::Damaged,
         _ => Code::Internal,
     }
 }

@@ -1,8 +1,9 @@
-//! What is connected to this computer as far as its files tell: serial ports, and video devices of Linux. Nothing is opened, as opening a port can
-//! already disturb who uses it.
+//! What is connected to this computer as far as its files tell, or on Windows its registry: serial ports, and video devices of Linux. No device is
+//! opened, as opening a port can already disturb who uses it.
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// A device that could be one of the instrument's.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -15,6 +16,13 @@ pub(crate) struct Nearby {
 
 /// The serial ports of adapters and boards, under the root of the file system.
 pub(crate) fn serial_ports(root: &Path) -> Vec<Nearby> {
+    if cfg!(windows) {
+        // The system's own tool reads the registry, which nothing else does without unsafe code.
+        let mut asked = Command::new("reg");
+        asked.args(["query", r"HKLM\HARDWARE\DEVICEMAP\SERIALCOMM"]);
+        let said = asked.output().map(|o| o.stdout).unwrap_or_default();
+        return com_ports(&String::from_utf8_lossy(&said));
+    }
     let devices = root.join("dev");
     let named = links(&devices.join("serial/by-id"));
     let is_adapter = |name: &str| {
@@ -22,6 +30,23 @@ pub(crate) fn serial_ports(root: &Path) -> Vec<Nearby> {
         kinds.iter().any(|kind| name.starts_with(kind))
     };
     with_names(&devices, named, is_adapter, |name| name.into())
+}
+
+/// The ports of Windows, as `reg query` lists them: the driver's name, the kind of the value, the port.
+fn com_ports(said: &str) -> Vec<Nearby> {
+    let ports = said.lines().filter_map(|line| {
+        let (device, port) = line.split_once("REG_SZ")?;
+        let port = port.trim();
+        let number = port.strip_prefix("COM")?;
+        let is_port = !number.is_empty() && number.chars().all(|c| c.is_ascii_digit());
+        is_port.then(|| Nearby {
+            path: port.into(),
+            what: printable(device.trim()),
+        })
+    });
+    let mut ports: Vec<Nearby> = ports.collect();
+    ports.sort_by_key(|port| port.path[3..].parse::<u32>().unwrap_or(u32::MAX));
+    ports
 }
 
 /// The video devices of Linux.
@@ -151,6 +176,33 @@ mod tests {
         );
         let none = computer(&["etc/passwd"]);
         assert!(serial_ports(none.path()).is_empty() && cameras(none.path()).is_empty());
+    }
+
+    #[test]
+    fn the_ports_of_windows_are_those_that_its_registry_lists() {
+        let said = "\r\nHKEY_LOCAL_MACHINE\\HARDWARE\\DEVICEMAP\\SERIALCOMM\r\n    \\Device\\VCP0    REG_SZ    COM12\r\n    \
+                    \\Device\\USBSER000    REG_SZ    COM3\r\n    \\Device\\Serial0    REG_SZ    COM1\r\n    odd    REG_SZ    LPT1\r\n\r\n";
+        let found: Vec<_> = com_ports(said)
+            .into_iter()
+            .map(|n| (n.path, n.what))
+            .collect();
+        let pair = |path: &str, what: &str| (path.to_owned(), what.to_owned());
+        assert_eq!(
+            found,
+            [
+                pair("COM1", "\\Device\\Serial0"),
+                pair("COM3", "\\Device\\USBSER000"),
+                pair("COM12", "\\Device\\VCP0")
+            ]
+        );
+        for none in [
+            "",
+            "ERROR: The system was unable to find the specified registry key or value.",
+            "x REG_SZ COM",
+            "REG_SZ COMX",
+        ] {
+            assert_eq!(com_ports(none), []);
+        }
     }
 
     #[cfg(unix)]

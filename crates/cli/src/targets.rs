@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use std::path::Path;
 
 pub(crate) fn list_targets(args: &TargetListArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.description)?;
+    let library = library_of(&args.kept.description)?;
     let names = library.target_names()?;
     answer.put(json!({"targets": []}));
     if names.is_empty() {
@@ -100,7 +100,7 @@ fn scale(kept: &KeptTarget) -> String {
 }
 
 pub(crate) fn show_target(args: &TargetShowArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.description)?;
+    let library = library_of(&args.kept.description)?;
     let kept = library.target(&args.name)?;
     let file = library.target_path(&args.name)?;
     let mut entry = keys(&args.name, &kept);
@@ -139,7 +139,7 @@ pub(crate) fn show_target(args: &TargetShowArgs, answer: &Answer) -> Result<bool
 }
 
 pub(crate) fn rename_target(args: &TargetRenameArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.description)?;
+    let library = library_of(&args.kept.description)?;
     let file = library.rename_target(&args.name, &args.to)?;
     answer.put(json!({"name": args.to, "before": args.name, "file": file.to_string_lossy()}));
     say!(answer, "'{}' is '{}' now", args.name, args.to);
@@ -147,7 +147,7 @@ pub(crate) fn rename_target(args: &TargetRenameArgs, answer: &Answer) -> Result<
 }
 
 pub(crate) fn remove_targets(args: &TargetRemoveArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.description)?;
+    let library = library_of(&args.kept.description)?;
     // All are there before any goes.
     for name in &args.names {
         library.target_path(name)?;
@@ -169,7 +169,7 @@ pub(crate) fn remove_targets(args: &TargetRemoveArgs, answer: &Answer) -> Result
 }
 
 pub(crate) fn export_target(args: &TargetExportArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.description)?;
+    let library = library_of(&args.kept.description)?;
     library.export_target(&args.name, &args.file)?;
     answer.put(json!({"name": args.name, "file": args.file.to_string_lossy()}));
     say!(
@@ -183,7 +183,7 @@ pub(crate) fn export_target(args: &TargetExportArgs, answer: &Answer) -> Result<
 }
 
 pub(crate) fn import_target(args: &TargetImportArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.description)?;
+    let library = library_of(&args.kept.description)?;
     let stem = || Some(args.file.file_stem()?.to_string_lossy().into_owned());
     let name = args.name.clone().or_else(stem).unwrap_or_default();
     let kept = library.import_target(&args.file, &name)?;

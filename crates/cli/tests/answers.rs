@@ -366,18 +366,71 @@ fn what_is_damaged_is_told_and_the_rest_counts() {
     // A calibration that is none is measured anew on the way.
     let kept = here.join("scopeservo-data/calibrations/10x");
     fs::write(kept.join("000002_2026.json"), "{}").unwrap();
-    let calibrated = || {
+    let found = |name: &str| {
         let doctor = object(&scopeservo(here, &["doctor", "--json"]));
         let findings = doctor["findings"].as_array().unwrap();
-        let finding = findings.iter().find(|f| f["name"] == "calibration of 10x");
-        finding.unwrap()["ok"].clone()
+        let finding = findings.iter().find(|f| f["name"] == name).cloned();
+        finding.unwrap_or_default()
     };
-    assert_eq!(calibrated(), false);
+    assert_eq!(found("calibration of 10x")["ok"], false);
+    assert_eq!(found("targets")["said"], "1 saved");
+    let old = found("target old");
+    assert_eq!(old["ok"], false);
+    let said = old["said"].as_str().unwrap();
+    assert!(said.contains("old.json is damaged"), "{said}");
+    assert!(
+        said.ends_with("`scopeservo target remove old` puts it aside"),
+        "{said}"
+    );
+    let removed = scopeservo(here, &["target", "remove", "old", "--json"]);
+    assert_eq!(code(&removed), 0, "{}", stderr(&removed));
+    assert_eq!(found("target old"), serde_json::Value::Null);
     let output = scopeservo(here, &["reposition", "spot", "--json"]);
     assert_eq!(code(&output), 3, "{}", stderr(&output));
     let answer = object(&output);
     assert_eq!(answer["reason"], "target_not_in_view", "{answer}");
     assert_eq!(codes(&answer["warnings"]), ["damaged"]);
     // That is kept, and counts from now on.
-    assert_eq!(calibrated(), true);
+    assert_eq!(found("calibration of 10x")["ok"], true);
+}
+
+#[test]
+fn a_job_that_cannot_be_read_any_more_is_put_aside_and_bars_the_way_no_longer() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    describe(here, "stage = \"xy\"");
+    for (k, text) in ["", "{\"schema\": 1, \"job\"", "[1, 2]"]
+        .into_iter()
+        .enumerate()
+    {
+        let journal = here.join("scopeservo-data/journal/test%20bench");
+        fs::create_dir_all(&journal).unwrap();
+        fs::write(journal.join("head.json"), text).unwrap();
+        fs::write(journal.join("state.json"), "what is left").unwrap();
+        for command in [&["focus", "--json"][..], &["resume", "--json"]] {
+            let refused = object(&scopeservo(here, command));
+            assert_eq!(refused["error"]["code"], "damaged", "{refused}");
+            let told = refused["error"]["message"].as_str().unwrap();
+            assert!(
+                told.contains("`scopeservo abandon` puts it aside"),
+                "{told}"
+            );
+        }
+        let ended = scopeservo(here, &["abandon", "--json"]);
+        assert_eq!(code(&ended), 0, "{k}: {}", stderr(&ended));
+        let answer = object(&ended);
+        assert_eq!(answer["abandoned"], serde_json::Value::Null);
+        assert_eq!(codes(&answer["warnings"]), ["damaged"]);
+        let aside = here.join(answer["set_aside"].as_str().unwrap());
+        assert_eq!(fs::read_to_string(aside.join("head.json")).unwrap(), text);
+        assert_eq!(
+            fs::read_to_string(aside.join("state.json")).unwrap(),
+            "what is left"
+        );
+        let again = scopeservo(here, &["abandon"]);
+        assert_eq!(
+            String::from_utf8_lossy(&again.stdout),
+            "no job was under way\n"
+        );
+    }
 }

@@ -75,6 +75,14 @@ pub enum LibraryError {
         /// The newest of the older ones that can be used.
         before: Option<PathBuf>,
     },
+    /// What was under way when a program was killed cannot be read.
+    #[error("what was under way when a program ended cannot be read ({path}): {what}")]
+    DamagedJournal {
+        /// The folder of the journal.
+        path: PathBuf,
+        /// What is wrong with it.
+        what: String,
+    },
     /// Something could not be made into a file: a mistake of ours.
     #[error("a file could not be made: {0}")]
     Encode(String),

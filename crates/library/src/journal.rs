@@ -6,7 +6,7 @@
 use crate::LibraryError;
 use crate::files::{self, checksum, make_folder};
 use crate::folder::{Folder, SCHEMA, read, to_json};
-use crate::names::file_name;
+use crate::names::{file_name, utc};
 use scopeservo_scope::{ObjectiveId, StagePose};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -14,13 +14,14 @@ use std::collections::BTreeSet;
 use std::fs::{self, OpenOptions};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 /// A longer string of a state is a file of its own.
 const LONG: usize = 512;
 const BLOB: &str = "$blob";
-/// Where the stage was sent since the last step, a line each.
 /// No file of a journal is larger, bytes.
 const LARGEST: u64 = 256 << 20;
+/// Where the stage was sent since the last step, a line each.
 const GOALS: &str = "goals.jsonl";
 
 /// The job under way.
@@ -98,8 +99,15 @@ pub trait Journal {
     /// What was under way when a program was killed; `None` when nothing was.
     ///
     /// # Errors
-    /// [`LibraryError::Read`], [`LibraryError::Damaged`].
+    /// [`LibraryError::DamagedJournal`].
     fn journal(&self, instrument: &str) -> Result<Option<Journalled>, LibraryError>;
+
+    /// Puts a journal that cannot be read aside, whole, so that nothing waits any longer and nothing of it is lost. Returns where it lies;
+    /// `None` when there is none.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotKept`].
+    fn set_journal_aside(&self, instrument: &str) -> Result<Option<PathBuf>, LibraryError>;
 }
 
 impl Folder {
@@ -178,28 +186,61 @@ impl Journal for Folder {
 
     fn journal(&self, instrument: &str) -> Result<Option<Journalled>, LibraryError> {
         let folder = self.journal_of(instrument);
-        let (head, state) = (folder.join("head.json"), folder.join("state.json"));
-        if !head.exists() {
+        read_journal(&folder).map_err(|error| LibraryError::DamagedJournal {
+            path: folder,
+            what: match error {
+                // Its end is how to make it again, which nobody can.
+                LibraryError::Damaged { what, .. } => first_sentence(&what).into(),
+                error => error.to_string(),
+            },
+        })
+    }
+
+    fn set_journal_aside(&self, instrument: &str) -> Result<Option<PathBuf>, LibraryError> {
+        let folder = self.journal_of(instrument);
+        if !files::is_there(&folder) {
             return Ok(None);
         }
-        let Kept { what: head, .. } = read::<Kept<JournalHead>>(&head)?;
-        let mut step = None;
-        if state.exists() {
-            let Kept { what, .. } = read::<Kept<JournalStep>>(&state)?;
-            let state = with_long(what.state, &folder)?;
-            step = Some(JournalStep { state, ..what });
-        }
-        let goals = match scopeservo_files::read_text(&folder.join(GOALS), LARGEST) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
-            text => text.map_err(LibraryError::read(&folder))?,
+        let when = utc(SystemTime::now()).replace(':', "-");
+        // No instrument's journal is called so: a dot in a name is written as its number.
+        let named = |k: u32| match k {
+            0 => folder.with_extension(format!("damaged-{when}")),
+            k => folder.with_extension(format!("damaged-{when}_{k}")),
         };
-        // A last line that is cut off was never sent.
-        let goals = goals
-            .lines()
-            .filter_map(|l| serde_json::from_str(l).ok())
-            .collect();
-        Ok(Some(Journalled { head, step, goals }))
+        let aside = (0..).map(named).find(|to| !files::is_there(to));
+        let aside = aside.unwrap_or_default();
+        fs::rename(&folder, &aside).map_err(LibraryError::not_kept(&aside))?;
+        Ok(Some(aside))
     }
+}
+
+fn first_sentence(text: &str) -> &str {
+    text.split_once(". ").map_or(text, |(first, _)| first)
+}
+
+/// What is in the folder of a journal.
+fn read_journal(folder: &Path) -> Result<Option<Journalled>, LibraryError> {
+    let (head, state) = (folder.join("head.json"), folder.join("state.json"));
+    if !head.exists() {
+        return Ok(None);
+    }
+    let Kept { what: head, .. } = read::<Kept<JournalHead>>(&head)?;
+    let mut step = None;
+    if state.exists() {
+        let Kept { what, .. } = read::<Kept<JournalStep>>(&state)?;
+        let state = with_long(what.state, folder)?;
+        step = Some(JournalStep { state, ..what });
+    }
+    let goals = match scopeservo_files::read_text(&folder.join(GOALS), LARGEST) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
+        text => text.map_err(LibraryError::read(folder))?,
+    };
+    // A last line that is cut off was never sent.
+    let goals = goals
+        .lines()
+        .filter_map(|l| serde_json::from_str(l).ok())
+        .collect();
+    Ok(Some(Journalled { head, step, goals }))
 }
 
 /// Takes the long strings out, each with the name of its file.
@@ -301,17 +342,37 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_journal_is_told() {
-        let dir = tempfile::tempdir().unwrap();
-        let folder = Folder::new(dir.path().into());
-        folder.begin_journal("lab", &head()).unwrap();
-        folder.journal_step("lab", &step(1)).unwrap();
-        let blob = crate::folder::entries(&folder.journal_of("lab")).unwrap();
-        let blob = blob
-            .iter()
-            .find(|p| p.extension().is_some_and(|e| e == "txt"));
-        fs::write(blob.unwrap(), "other").unwrap();
-        let error = folder.journal("lab").unwrap_err();
-        assert!(matches!(error, LibraryError::Damaged { .. }), "{error}");
+    fn a_damaged_journal_is_told_and_put_aside_whole() {
+        for (file, now) in [
+            ("txt", "other"),
+            ("state.json", "{\"schema\": 1, \"step\""),
+            ("head.json", ""),
+            ("head.json", "{\"schema\": 99}"),
+        ] {
+            let dir = tempfile::tempdir().unwrap();
+            let folder = Folder::new(dir.path().into());
+            assert_eq!(folder.set_journal_aside("my lab").unwrap(), None);
+            let mut aside = Vec::new();
+            // A second one of the same second has a place too.
+            for _ in 0..2 {
+                folder.begin_journal("my lab", &head()).unwrap();
+                folder.journal_step("my lab", &step(1)).unwrap();
+                let all = crate::folder::entries(&folder.journal_of("my lab")).unwrap();
+                let one = |p: &&PathBuf| p.to_string_lossy().ends_with(file);
+                fs::write(all.iter().find(one).unwrap(), now).unwrap();
+                let error = folder.journal("my lab").unwrap_err();
+                let told = error.to_string();
+                assert!(
+                    matches!(error, LibraryError::DamagedJournal { .. }),
+                    "{told}"
+                );
+                assert!(!told.contains("make it again"), "{told}");
+                let to = folder.set_journal_aside("my lab").unwrap().unwrap();
+                assert_eq!(crate::folder::entries(&to).unwrap().len(), all.len());
+                assert_eq!(folder.journal("my lab").unwrap(), None);
+                aside.push(to);
+            }
+            assert_ne!(aside[0], aside[1]);
+        }
     }
 }

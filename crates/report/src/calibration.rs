@@ -40,14 +40,11 @@ pub(crate) fn section(r: &Report<'_>) -> String {
     }
     for stored in r.timeline.used() {
         let of = &stored.calibration;
-        let made = match stored.made.is_empty() {
-            true => String::new(),
-            false => format!(" of {}", escape(&stored.made)),
-        };
         let _ = writeln!(
             out,
-            "<article class=\"card\"><h3>{}</h3>\n<p>As it was known{made}, from <code>{}</code>.</p>\n{}</article>",
+            "<article class=\"card\"><h3>{}</h3>\n<p>As it was known{}, from <code>{}</code>.</p>\n{}</article>",
             escape(&of.objective.0),
+            escape(&stored.of_when()),
             escape(&stored.file),
             numbers(r, of)
         );

@@ -402,12 +402,13 @@ pub(crate) fn pictures(r: &Report<'_>, c: &Calibrating<'_>) -> String {
         };
         let _ = writeln!(
             out,
-            "<figure class=\"{}\"><div class=\"scroll\">{svg}</div><figcaption><b>{}</b>, number {} ({}): {}</figcaption></figure>",
+            "<figure class=\"{}\"><div class=\"scroll\">{svg}</div><figcaption><b>{}</b>, number {} ({}): {}{}</figcaption></figure>",
             if wide { "pair-of-views" } else { "one-view" },
             t.words,
             look.index + 1,
             role_word(look.chain.role),
             beside(look, pair, wide),
+            r.gallery.brighter(&[&name]),
         );
     }
     match out.is_empty() {

@@ -29,6 +29,7 @@ mod plots;
 mod promises;
 mod provenance;
 mod recorder;
+mod shown;
 mod stored;
 mod summary;
 mod svg;

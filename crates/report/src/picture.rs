@@ -1,11 +1,13 @@
 //! Images: kept as they came or compressed, and embedded once each.
 
+use crate::shown;
 use crate::svg::{Attr, nice_step};
 use crate::text::{escape, fixed};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, RgbImage, imageops};
+use scopeservo_scope::Frame;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -20,6 +22,8 @@ pub(crate) struct Picture {
     pub(crate) width: usize,
     pub(crate) height: usize,
     rgb: Arc<[u8]>,
+    /// How many times as bright as taken.
+    gain: f64,
 }
 
 /// A compressed image, with the size that it had before.
@@ -28,6 +32,7 @@ pub(crate) struct Jpeg {
     pub(crate) width: usize,
     pub(crate) height: usize,
     bytes: Arc<[u8]>,
+    gain: f64,
 }
 
 impl Picture {
@@ -37,7 +42,15 @@ impl Picture {
             width,
             height,
             rgb: rgb.into(),
+            gain: 1.0,
         })
+    }
+
+    /// A frame as people see it.
+    pub(crate) fn of(frame: &Frame) -> Option<Self> {
+        let (rgb, gain) = shown::rgb8(frame);
+        let picture = Self::new(frame.width, frame.height, rgb)?;
+        Some(Self { gain, ..picture })
     }
 
     pub(crate) fn jpeg(&self) -> Option<Jpeg> {
@@ -61,6 +74,7 @@ impl Picture {
             width: self.width,
             height: self.height,
             bytes: bytes.into(),
+            gain: self.gain,
         })
     }
 
@@ -111,6 +125,19 @@ impl Gallery {
     pub(crate) fn size(&self, name: &str) -> Option<(f64, f64)> {
         let picture = self.pictures.get(name)?;
         Some((picture.width as f64, picture.height as f64))
+    }
+
+    /// That images are shown brighter than they were taken, where they are: the end of a caption.
+    pub(crate) fn brighter(&self, names: &[&str]) -> String {
+        let gains = names
+            .iter()
+            .filter_map(|name| Some(self.pictures.get(*name)?.gain));
+        match gains.fold(1.0, f64::max) {
+            gain if gain > 1.0 => {
+                format!(" Dim: shown {} times as bright as taken.", fixed(gain, 1))
+            }
+            _ => String::new(),
+        }
     }
 
     /// The image as an element, its pixel centres at integer coordinates.

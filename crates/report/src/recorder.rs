@@ -48,12 +48,6 @@ impl Recorder {
         &self.events
     }
 
-    /// Gives the image of a target that was saved earlier: 8-bit RGB, row-major. A target saved before this recorder's
-    /// eyes comes by itself. An image whose length does not fit its size is not taken.
-    pub fn set_target(&mut self, width: usize, height: usize, rgb: Vec<u8>) {
-        self.target = Picture::new(width, height, rgb).or(self.target.take());
-    }
-
     pub(crate) fn target(&self) -> Option<&Picture> {
         self.target.as_ref()
     }
@@ -144,7 +138,7 @@ impl Sink for Recorder {
     }
 
     fn frame(&mut self, frame: &Frame, role: FrameRole) {
-        let Some(picture) = Picture::new(frame.width, frame.height, frame.rgb8()) else {
+        let Some(picture) = Picture::of(frame) else {
             return;
         };
         if role == FrameRole::Target {

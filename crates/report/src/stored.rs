@@ -13,3 +13,13 @@ pub struct Stored {
     /// When it was made, as people read it; empty where that is not known.
     pub made: String,
 }
+
+impl Stored {
+    /// " of WHEN", or nothing where that is not known.
+    pub(crate) fn of_when(&self) -> String {
+        match self.made.is_empty() {
+            true => String::new(),
+            false => format!(" of {}", self.made),
+        }
+    }
+}

@@ -106,12 +106,8 @@ fn facts(r: &Report<'_>) -> String {
         &r.timeline.stage.map_or(String::new(), place),
     );
     for stored in r.timeline.used() {
-        let made = match stored.made.is_empty() {
-            true => String::new(),
-            false => format!(", of {}", stored.made),
-        };
         let name = format!("Calibration {}", stored.calibration.objective);
-        add(&name, &format!("{}{made}", stored.file));
+        add(&name, &format!("{}{}", stored.file, stored.of_when()));
     }
     out
 }
@@ -289,8 +285,9 @@ fn comparison(r: &Report<'_>) -> String {
                      <span class=\"left\" aria-hidden=\"true\">saved view</span><span class=\"right\" aria-hidden=\"true\">now</span><i></i>\
                      <input type=\"range\" min=\"0\" max=\"100\" value=\"50\" aria-label=\"Share of the saved view that is shown\" \
                      oninput=\"this.parentNode.style.setProperty('--at',this.value+'%')\"/></div>\
-                     <figcaption>Saved view and view at the end ({}). Drag the line.</figcaption></figure>\n",
-                    escape(&m.objective.0)
+                     <figcaption>Saved view and view at the end ({}). Drag the line.{}</figcaption></figure>\n",
+                    escape(&m.objective.0),
+                    r.gallery.brighter(&["target", &view_name(sequence)])
                 ));
             }
             if let Some(blend) = r.gallery.figure(
@@ -322,8 +319,9 @@ fn comparison(r: &Report<'_>) -> String {
                     format!(" Not recognised: {}.", escape(&l.reason))
                 });
                 figures.push(format!(
-                    "<figure>{view}<figcaption>The last view, {} at iteration {iteration}.{why}</figcaption></figure>\n",
-                    escape(&m.objective.0)
+                    "<figure>{view}<figcaption>The last view, {} at iteration {iteration}.{why}{}</figcaption></figure>\n",
+                    escape(&m.objective.0),
+                    r.gallery.brighter(&[&view_name(sequence)])
                 ));
             }
             figures.extend(target_alone(r));
@@ -335,7 +333,8 @@ fn comparison(r: &Report<'_>) -> String {
             ] {
                 if let Some(picture) = r.gallery.figure(name, caption, "") {
                     figures.push(format!(
-                        "<figure>{picture}<figcaption>{caption}</figcaption></figure>\n"
+                        "<figure>{picture}<figcaption>{caption}{}</figcaption></figure>\n",
+                        r.gallery.brighter(&[name])
                     ));
                 }
             }
@@ -356,6 +355,7 @@ fn target_alone(r: &Report<'_>) -> Option<String> {
         .target_objective
         .map_or(String::new(), |o| format!(", {}", escape(&o.0)));
     Some(format!(
-        "<figure class=\"goal\">{target}<figcaption>The saved view{objective}.</figcaption></figure>\n"
+        "<figure class=\"goal\">{target}<figcaption>The saved view{objective}.{}</figcaption></figure>\n",
+        r.gallery.brighter(&["target"])
     ))
 }

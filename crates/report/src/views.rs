@@ -68,6 +68,7 @@ fn pictures(r: &Report<'_>, m: &Magnification<'_>) -> String {
     let frames = m.frames();
     let last = frames.last().copied();
     let mut out = String::new();
+    let mut names = vec!["target".to_owned()];
     for (iteration, sequence) in frames {
         if !SHOWN_ITERATIONS.contains(&iteration) && last != Some((iteration, sequence)) {
             continue;
@@ -96,6 +97,7 @@ fn pictures(r: &Report<'_>, m: &Magnification<'_>) -> String {
                 "<figure>{svg}<figcaption>iteration {caption}</figcaption></figure>"
             );
         }
+        names.push(name);
     }
     if out.is_empty() {
         return "<p class=\"none\">No views of this magnification were kept.</p>\n".into();
@@ -112,7 +114,14 @@ fn pictures(r: &Report<'_>, m: &Magnification<'_>) -> String {
             escape(objective)
         );
     }
-    format!("<div class=\"row\">\n{out}</div>\n")
+    let dim = r
+        .gallery
+        .brighter(&names.iter().map(String::as_str).collect::<Vec<_>>());
+    let dim = match dim.is_empty() {
+        true => dim,
+        false => format!("<p class=\"known\">{}</p>\n", dim.trim_start()),
+    };
+    format!("<div class=\"row\">\n{out}</div>\n{dim}")
 }
 
 fn table(r: &Report<'_>, m: &Magnification<'_>) -> String {

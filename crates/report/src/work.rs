@@ -152,7 +152,8 @@ fn at_the_end(r: &Report<'_>) -> String {
         if let Some(svg) = r.gallery.figure(name, words, "") {
             let _ = writeln!(
                 out,
-                "<div class=\"duo\"><figure class=\"one-view\">{svg}<figcaption>{words}</figcaption></figure></div>"
+                "<div class=\"duo\"><figure class=\"one-view\">{svg}<figcaption>{words}{}</figcaption></figure></div>",
+                r.gallery.brighter(&[name])
             );
         }
     }

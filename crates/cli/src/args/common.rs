@@ -35,6 +35,15 @@ pub(crate) struct ConfigArgs {
     pub(crate) config: PathBuf,
 }
 
+/// What a command takes that works with what is kept, without the instrument.
+#[derive(Debug, Args)]
+pub(crate) struct KeptArgs {
+    #[command(flatten)]
+    pub(crate) description: ConfigArgs,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
+}
+
 /// Which instrument, and what it may do on opening.
 #[derive(Debug, Args)]
 pub(crate) struct InstrumentArgs {

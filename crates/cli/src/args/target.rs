@@ -1,6 +1,6 @@
 //! Saved views.
 
-use super::common::{AnswerArgs, ConfigArgs, FocusingArgs, InstrumentArgs};
+use super::common::{AnswerArgs, FocusingArgs, InstrumentArgs, KeptArgs};
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
 
@@ -58,9 +58,7 @@ pub(crate) struct TargetExportArgs {
     /// The file to write; none is overwritten.
     pub(crate) file: PathBuf,
     #[command(flatten)]
-    pub(crate) description: ConfigArgs,
-    #[command(flatten)]
-    pub(crate) answer: AnswerArgs,
+    pub(crate) kept: KeptArgs,
 }
 
 #[derive(Debug, Args)]
@@ -74,9 +72,7 @@ pub(crate) struct TargetImportArgs {
     #[arg(long)]
     pub(crate) name: Option<String>,
     #[command(flatten)]
-    pub(crate) description: ConfigArgs,
-    #[command(flatten)]
-    pub(crate) answer: AnswerArgs,
+    pub(crate) kept: KeptArgs,
 }
 
 #[derive(Debug, Args)]
@@ -87,9 +83,7 @@ pub(crate) struct TargetShowArgs {
     /// The target's name.
     pub(crate) name: String,
     #[command(flatten)]
-    pub(crate) description: ConfigArgs,
-    #[command(flatten)]
-    pub(crate) answer: AnswerArgs,
+    pub(crate) kept: KeptArgs,
 }
 
 #[derive(Debug, Args)]
@@ -101,9 +95,7 @@ pub(crate) struct TargetRenameArgs {
     /// The one that it gets: letters, digits, '-', '_' and '.'.
     pub(crate) to: String,
     #[command(flatten)]
-    pub(crate) description: ConfigArgs,
-    #[command(flatten)]
-    pub(crate) answer: AnswerArgs,
+    pub(crate) kept: KeptArgs,
 }
 
 #[derive(Debug, Args)]
@@ -117,9 +109,7 @@ pub(crate) struct TargetRemoveArgs {
     #[arg(required = true, value_name = "NAME")]
     pub(crate) names: Vec<String>,
     #[command(flatten)]
-    pub(crate) description: ConfigArgs,
-    #[command(flatten)]
-    pub(crate) answer: AnswerArgs,
+    pub(crate) kept: KeptArgs,
 }
 
 #[derive(Debug, Args)]
@@ -132,7 +122,5 @@ pub(crate) struct TargetListArgs {
     #[arg(long)]
     pub(crate) long: bool,
     #[command(flatten)]
-    pub(crate) description: ConfigArgs,
-    #[command(flatten)]
-    pub(crate) answer: AnswerArgs,
+    pub(crate) kept: KeptArgs,
 }

@@ -1,6 +1,6 @@
 //! What is asked of an instrument: to move, focus, calibrate and come back.
 
-use super::common::{AnswerArgs, ConfigArgs, FocusingArgs, InstrumentArgs, ReportArgs};
+use super::common::{AnswerArgs, FocusingArgs, InstrumentArgs, KeptArgs, ReportArgs};
 use super::moving::MovingArgs;
 use clap::{Args, Subcommand};
 use scopeservo_servo::CalibrationMethod;
@@ -139,13 +139,11 @@ pub(crate) struct CheckArgs {
 Nothing is opened and nothing moves. The oldest come first; the newest of an objective is the one in use. A change is told with how many standard
 deviations it is, where both calibrations know their own.")]
 pub(crate) struct CalibrationsArgs {
-    #[command(flatten)]
-    pub(crate) description: ConfigArgs,
     /// Only those of this objective.
     #[arg(long, value_name = "ID")]
     pub(crate) objective: Option<String>,
     #[command(flatten)]
-    pub(crate) answer: AnswerArgs,
+    pub(crate) kept: KeptArgs,
 }
 
 #[derive(Debug, Subcommand)]
@@ -243,7 +241,5 @@ pub(crate) struct ResumeArgs {
 Nothing moves: the stage stays where it was left.")]
 pub(crate) struct AbandonArgs {
     #[command(flatten)]
-    pub(crate) description: ConfigArgs,
-    #[command(flatten)]
-    pub(crate) answer: AnswerArgs,
+    pub(crate) kept: KeptArgs,
 }

@@ -4,11 +4,11 @@ use super::{calibrate, check, focus, grid, reposition, save_target};
 use crate::answer::Answer;
 use crate::args::{AbandonArgs, ResumeArgs};
 use crate::commands::library_of;
-use crate::error::CliError;
+use crate::error::{CliError, Code};
 use crate::journal::{self, Asked};
 use crate::open_instrument::OpenInstrument;
 use crate::views::try_out;
-use scopeservo_library::{Journal as _, Targets as _};
+use scopeservo_library::{Folder, Journal as _, LibraryError, Targets as _};
 use scopeservo_setup::{Config, Held};
 use scopeservo_station::jobs::AnyJob;
 use serde_json::json;
@@ -77,12 +77,14 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
 }
 
 pub(crate) fn abandon(args: &AbandonArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.description)?;
-    let config = Config::read(&args.description.config)?;
+    let library = library_of(&args.kept.description)?;
+    let config = Config::read(&args.kept.description.config)?;
     // One that is at work is no business of ours.
     let _held = Held::data(&config)?;
-    // One that cannot be read is ended as well.
-    let left = answer.or_warn(library.journal(&config.name)).flatten();
+    let left = match library.journal(&config.name) {
+        Ok(left) => left,
+        Err(damaged) => return set_aside(&library, &config.name, damaged, answer),
+    };
     library.end_journal(&config.name)?;
     let what = left.as_ref().map(journal::what);
     answer.put(json!({"abandoned": what}));
@@ -93,5 +95,24 @@ pub(crate) fn abandon(args: &AbandonArgs, answer: &Answer) -> Result<bool, CliEr
         ),
         None => say!(answer, "no job was under way"),
     }
+    Ok(true)
+}
+
+/// Nobody can go on with a journal that cannot be read, and whoever wants to know what it was has it still.
+fn set_aside(
+    library: &Folder,
+    instrument: &str,
+    damaged: LibraryError,
+    answer: &Answer,
+) -> Result<bool, CliError> {
+    answer.warn(Code::Damaged, damaged);
+    let aside = library.set_journal_aside(instrument)?;
+    let path = aside.as_ref().map(|path| path.to_string_lossy());
+    answer.put(json!({"abandoned": null, "set_aside": path}));
+    say!(
+        answer,
+        "put aside as {}: nothing waits any longer. The stage stands where it was left",
+        path.unwrap_or_default()
+    );
     Ok(true)
 }

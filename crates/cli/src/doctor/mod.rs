@@ -7,7 +7,7 @@ use crate::args::DoctorArgs;
 use crate::colour::{self, Hope};
 use crate::commands::calibration_of;
 use crate::console::Told;
-use crate::error::{CliError, Code};
+use crate::error::{CliError, Code, shell};
 use crate::open_instrument::OpenInstrument;
 use scopeservo_library::{Calibrations as _, Targets as _};
 use scopeservo_scope::conformance;
@@ -159,9 +159,25 @@ fn kept(opened: &OpenInstrument, findings: &mut Findings<'_>) {
         };
         findings.look(&format!("calibration of {}", objective.id), found);
     }
-    let targets = opened.library.target_names().map_err(|e| e.to_string());
+    let names = match opened.library.target_names() {
+        Ok(names) => names,
+        Err(error) => return findings.look("targets", Err(error.to_string())),
+    };
+    let mut damaged = Vec::new();
+    for name in &names {
+        if let Err(error) = opened.library.target(name) {
+            damaged.push((name, error));
+        }
+    }
     findings.look(
         "targets",
-        targets.map(|names| format!("{} saved", names.len())),
+        Ok(format!("{} saved", names.len() - damaged.len())),
     );
+    for (name, error) in damaged {
+        let cure = format!(
+            "{error}; `scopeservo target remove {}` puts it aside",
+            shell(name)
+        );
+        findings.look(&format!("target {name}"), Err(cure));
+    }
 }
