@@ -17,6 +17,9 @@ use crate::error::CliError;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
+#[cfg(test)]
+mod pages;
+
 /// Brings a motorised microscope back to the exact view you saved.
 #[derive(Debug, Parser)]
 #[command(

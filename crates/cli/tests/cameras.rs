@@ -83,11 +83,11 @@ fn works(here: &Path, twin: &Twin) {
     let saved = scopeservo(here, &["target", "save", "spot", "--focus", "--json"]);
     assert_eq!(code(&saved), 0, "{}", stderr(&saved));
     twin.centre_specimen([45.0, -30.0], 1.5);
-    // Few views: this instrument's time is real.
-    let two_step = ["calibrate", "--no-focus", "--method", "two-step", "--json"];
-    let made = scopeservo(here, &two_step);
+    // Few views, and of the objective that is needed: this instrument's time is real.
+    let two_step = "calibrate --objective 10x --no-focus --method two-step --json";
+    let made = scopeservo(here, &two_step.split(' ').collect::<Vec<_>>());
     assert_eq!(code(&made), 0, "{}", stderr(&made));
-    let back = scopeservo(here, &["reposition", "spot", "--lambda", "0.8", "--json"]);
+    let back = scopeservo(here, &["reposition", "spot", "--json"]);
     assert_eq!(code(&back), 0, "{}", stderr(&back));
     let back = json(&back);
     assert_eq!(back["verdict"], "arrived", "{back}");

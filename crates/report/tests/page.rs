@@ -176,6 +176,41 @@ fn an_empty_record_is_a_page_too() {
 }
 
 #[test]
+fn a_dim_image_is_shown_brighter_and_its_caption_says_so() {
+    use scopeservo_scope::{Channels, Frame, Samples, Timestamp};
+    use scopeservo_servo::{FrameRole, Sink as _};
+    let page = |most: u16, hot: u16| {
+        let mut samples: Vec<u16> = (0..4800_u32)
+            .map(|i| (i % 80 * u32::from(most) / 79) as u16)
+            .collect();
+        samples[7] = hot;
+        let frame = Frame {
+            width: 80,
+            height: 60,
+            channels: Channels::Gray,
+            bit_depth: 16,
+            samples: Samples::U16(samples),
+            sequence: 1,
+            exposure_start: Timestamp::default(),
+            exposure: std::time::Duration::ZERO,
+        };
+        let mut recorder = Recorder::new();
+        recorder.frame(&frame, FrameRole::Target);
+        html(&recorder, None, &Context::default())
+    };
+    // 0.8 of 65535 over what it has, whatever one pixel says.
+    for (most, times) in [(4095, "12.8"), (1023, "51.2"), (300, "174.8")] {
+        for hot in [0, 65535] {
+            let said = page(most, hot);
+            check(&said);
+            let caption = format!("Dim: shown {times} times as bright as taken.");
+            assert!(said.contains(&caption), "{most} {hot}");
+        }
+    }
+    assert!(!page(40_000, 0).contains("Dim:"));
+}
+
+#[test]
 fn every_beginning_of_a_run_is_a_page() {
     use scopeservo_servo::Sink as _;
     let events = arrived().recorder.events();

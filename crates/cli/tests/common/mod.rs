@@ -7,6 +7,7 @@
     reason = "each test file uses its own part of this module"
 )]
 
+pub mod page;
 pub mod served;
 
 use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
