@@ -63,13 +63,18 @@ pub(crate) fn through(reader: &Reader) {
         .join(PICTURE);
     let kept = image::open(kept).unwrap().to_rgb8();
     assert_eq!(kept.dimensions(), picture.dimensions());
-    let differ = kept.as_raw().iter().zip(picture.as_raw());
-    let mean =
-        differ.map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / kept.as_raw().len() as f64;
+    let mean = mean_off(&kept, &picture);
     assert!(
         mean < 6.0,
         "{PICTURE} is another than the walk-through gives: {mean} grey levels off"
     );
+}
+
+/// How far two images are off from each other on average, grey levels.
+fn mean_off(a: &RgbImage, b: &RgbImage) -> f64 {
+    let each = a.as_raw().iter().zip(b.as_raw());
+    let sum: f64 = each.map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+    sum / a.as_raw().len() as f64
 }
 
 fn line_after<'a>(text: &'a str, mark: &str) -> &'a str {
@@ -180,6 +185,9 @@ fn picture(report: &str) -> RgbImage {
             between(svg, "class=\"outline\" d=\"", "\"").map(corners),
         ));
     }
+    // At the end it is the saved view that is seen.
+    let off = |k: usize| mean_off(&all[0].0, &all[k].0);
+    assert!(off(3) < 8.0 && off(1) > 20.0, "{} {}", off(3), off(1));
     let width = all.len() as u32 * (VIEW[0] + GAP) - GAP;
     let mut strip = RgbImage::from_pixel(width, VIEW[1], Rgb([255; 3]));
     for (k, (view, outline)) in all.into_iter().enumerate() {
