@@ -108,6 +108,7 @@ fn room(extent: [f64; 4]) -> Result<[f64; 4], CliError> {
 mod tests {
     use super::*;
     use scopeservo_twin::specimen::Tissue;
+    use std::path::Path;
 
     #[test]
     fn drawn_scenes_keep_their_promise_and_repeat() {
@@ -147,5 +148,22 @@ mod tests {
     fn a_specimen_smaller_than_the_view_is_refused() {
         assert!(room([-100.0, 100.0, -100.0, 100.0]).is_err());
         assert!(room([-500.0, 500.0, -500.0, 500.0]).is_ok());
+    }
+
+    #[test]
+    fn the_readme_says_what_is_drawn() {
+        let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../README.md");
+        let text = std::fs::read_to_string(page).unwrap().replace('\n', " ");
+        let [width, height] = TARGET_FIELD_UM;
+        for said in [
+            format!(
+                "displaced by at least {LEAST_SHIFT_UM} um and turned by up to {MAX_TURN_DEG} degrees"
+            ),
+            format!(
+                "the 400x view, {width} x {height} um, and a second one at least {LEAST_SHIFT_UM} um beside it"
+            ),
+        ] {
+            assert!(text.contains(&said), "{said}");
+        }
     }
 }

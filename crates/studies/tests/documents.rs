@@ -209,6 +209,15 @@ fn every_study_is_in_the_measured_page() {
 }
 
 #[test]
+fn the_readme_names_the_rust_that_is_promised() {
+    let read = |name: &str| fs::read_to_string(root().join(name)).unwrap();
+    let manifest = read("Cargo.toml");
+    let (_, rest) = manifest.split_once("\nrust-version = \"").unwrap();
+    let (version, _) = rest.split_once('"').unwrap();
+    assert!(read("README.md").contains(&format!("[Rust](https://rustup.rs) {version} or newer")));
+}
+
+#[test]
 fn files_that_the_documents_link_to_are_there() {
     for document in [
         "README.md",
