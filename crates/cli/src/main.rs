@@ -29,6 +29,7 @@ mod manual;
 mod nearby;
 mod open_instrument;
 mod output;
+mod patient_clock;
 mod progress;
 mod register;
 mod scene;

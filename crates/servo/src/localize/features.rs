@@ -1,9 +1,10 @@
-//! Features of view and target, matched and fitted: the paper's way.
+//! Features of view and target, matched and fitted: the paper's way. Where what they look like says nothing, how they lie may.
 
-use super::{Expected, Localizer, Measurement};
+use super::{Expected, Localizer, Measurement, says_nothing};
 use crate::target::{MIN_MOVED_FEATURES, MIN_TARGET_FEATURES};
 use crate::{ServoError, Target, VisionOptions};
 use scopeservo_features::{Features, GrayImage};
+use scopeservo_registration::constellation::constellation;
 use scopeservo_registration::{
     Correspondences, NotFound, Rival, find_rivals, register_correspondences,
 };
@@ -70,14 +71,16 @@ impl Localizer for FeatureLocalizer<'_> {
         let Some(view) = &measured.features else {
             return Vec::new();
         };
-        find_rivals(
+        let mut rivals = measured.rivals.clone();
+        rivals.extend(find_rivals(
             &expected.fixed.without(view),
             &expected.fixed.without(&target.features),
             &measured.registration,
             &expected.prior,
             &self.vision.registration,
             without_identity,
-        )
+        ));
+        rivals
     }
 }
 
@@ -92,14 +95,26 @@ impl FeatureLocalizer<'_> {
         let free = expected.fixed.without(&features);
         let of_target = expected.fixed.without(&target.features);
         let engine = &*self.vision.engine;
-        let correspondences = Correspondences::of(engine, &free, &of_target, prior, options)?;
-        let registration = register_correspondences(&correspondences, prior, options);
+        let matched = Correspondences::of(engine, &free, &of_target, prior, options);
+        let seen = matched.and_then(|correspondences| {
+            let registration = register_correspondences(&correspondences, prior, options);
+            let estimate = registration.outcome.clone()?;
+            Ok((estimate, registration, correspondences, Vec::new()))
+        });
+        let (estimate, registration, correspondences, rivals) = seen.or_else(|reason| {
+            let lie = says_nothing(&reason)
+                .then(|| constellation(&free, &of_target, prior, options))
+                .flatten();
+            let lie = lie.ok_or(reason.clone())?;
+            let estimate = lie.registration.outcome.clone().map_err(|_| reason)?;
+            Ok((estimate, lie.registration, lie.correspondences, lie.rivals))
+        })?;
         Ok(Measurement {
-            estimate: registration.outcome.clone()?,
+            estimate,
             registration,
             correspondences,
             features: Some(features),
-            rivals: Vec::new(),
+            rivals,
         })
     }
 }
