@@ -103,9 +103,9 @@ impl Localizer for CorrelationLocalizer<'_> {
         expected: &Expected<'_>,
         without_identity: bool,
     ) -> Vec<Rival> {
-        match measured.features {
-            Some(_) => (self.features()).rivals(target, measured, expected, without_identity),
-            None => measured.rivals.clone(),
-        }
+        let mut rivals = measured.rivals.clone();
+        let all = (self.features()).rivals(target, measured, expected, without_identity);
+        rivals.extend(all);
+        rivals
     }
 }

@@ -71,16 +71,14 @@ impl Localizer for FeatureLocalizer<'_> {
         let Some(view) = &measured.features else {
             return Vec::new();
         };
-        let mut rivals = measured.rivals.clone();
-        rivals.extend(find_rivals(
+        find_rivals(
             &expected.fixed.without(view),
             &expected.fixed.without(&target.features),
             &measured.registration,
             &expected.prior,
             &self.vision.registration,
             without_identity,
-        ));
-        rivals
+        )
     }
 }
 
@@ -98,23 +96,25 @@ impl FeatureLocalizer<'_> {
         let matched = Correspondences::of(engine, &free, &of_target, prior, options);
         let seen = matched.and_then(|correspondences| {
             let registration = register_correspondences(&correspondences, prior, options);
-            let estimate = registration.outcome.clone()?;
-            Ok((estimate, registration, correspondences, Vec::new()))
+            Ok((registration.outcome.clone()?, registration, correspondences))
         });
-        let (estimate, registration, correspondences, rivals) = seen.or_else(|reason| {
+        let (estimate, registration, correspondences) = seen.or_else(|reason| {
             let lie = says_nothing(&reason)
                 .then(|| constellation(&free, &of_target, prior, options))
                 .flatten();
-            let lie = lie.ok_or(reason.clone())?;
-            let estimate = lie.registration.outcome.clone().map_err(|_| reason)?;
-            Ok((estimate, lie.registration, lie.correspondences, lie.rivals))
+            // What could lie elsewhere as well is not a place: another magnification may tell.
+            let sure = lie
+                .filter(|lie| lie.rivals.is_empty())
+                .ok_or(reason.clone())?;
+            let estimate = sure.registration.outcome.clone().map_err(|_| reason)?;
+            Ok((estimate, sure.registration, sure.correspondences))
         })?;
         Ok(Measurement {
             estimate,
             registration,
             correspondences,
             features: Some(features),
-            rivals,
+            rivals: Vec::new(),
         })
     }
 }
