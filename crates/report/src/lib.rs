@@ -33,6 +33,7 @@ mod stored;
 mod summary;
 mod svg;
 mod text;
+mod tilt;
 mod timeline;
 mod told;
 mod views;
