@@ -56,6 +56,8 @@ pub(crate) enum Command {
     Focus(FocusArgs),
     /// Check an objective, its calibration and the stage with a pattern slide: a grid of dots, squares or lines of known pitch.
     Grid(GridArgs),
+    /// How the view is tilted against the focal plane; with --apply, level it on a stage that tips.
+    Level(LevelArgs),
     /// Check kept calibrations by two moves over tissue: good, drifted or to be replaced.
     Check(CheckArgs),
     /// All calibrations that are kept, with what changed from one to the next. Nothing moves.
@@ -99,6 +101,7 @@ impl Command {
             Self::Calibrate(args) => args.answer.json,
             Self::Focus(args) => args.answer.json,
             Self::Grid(args) => args.answer.json,
+            Self::Level(args) => args.answer.json,
             Self::Check(args) => args.answer.json,
             Self::Calibrations(args) => args.kept.answer.json,
             Self::Resume(args) => args.answer.json,

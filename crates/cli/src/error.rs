@@ -115,6 +115,7 @@ pub(crate) enum Code {
     Ambiguous,
     GridFailed,
     CheckFailed,
+    LevelFailed,
     Immersion,
     NotKept,
     ForeignTarget,
@@ -148,6 +149,7 @@ impl Code {
             | Self::Ambiguous
             | Self::GridFailed
             | Self::CheckFailed
+            | Self::LevelFailed
             | Self::Immersion => 3,
             Self::NotKept
             | Self::ForeignTarget
@@ -272,6 +274,7 @@ fn servo_code(error: &ServoError) -> Code {
         ErrorCode::Ambiguous => Code::Ambiguous,
         ErrorCode::GridFailed => Code::GridFailed,
         ErrorCode::CheckFailed => Code::CheckFailed,
+        ErrorCode::LevelFailed => Code::LevelFailed,
         ErrorCode::Immersion => Code::Immersion,
         ErrorCode::OutsideLimits | ErrorCode::Refused => Code::Refused,
         ErrorCode::Interrupted => Code::Interrupted,

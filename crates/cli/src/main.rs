@@ -29,6 +29,7 @@ mod manual;
 mod nearby;
 mod open_instrument;
 mod output;
+mod patient_clock;
 mod progress;
 mod register;
 mod scene;
@@ -87,6 +88,7 @@ fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
         Command::Calibrate(args) => commands::calibrate(&args, answer),
         Command::Focus(args) => commands::focus(&args, answer),
         Command::Grid(args) => commands::grid(&args, answer),
+        Command::Level(args) => commands::level(&args, answer),
         Command::Check(args) => commands::check(&args, answer),
         Command::Calibrations(args) => calibrations::run(&args, answer),
         Command::Stage(StageCommand::Go(args)) => stage::go(&args, answer),

@@ -3,6 +3,7 @@
 use crate::args::TwinServeArgs;
 use crate::driver_check::read_secret;
 use crate::error::CliError;
+use crate::patient_clock::PatientClock;
 use scopeservo_protocol::{Offer, bind, listen, serve};
 use scopeservo_scope::{Camera, CameraInfo, Clock, Devices, Frame, ScopeError, SystemClock};
 use scopeservo_setup::{Config, TwinConfig};
@@ -46,7 +47,10 @@ impl Camera for Growing {
 }
 
 pub(crate) fn run(args: &TwinServeArgs) -> Result<bool, CliError> {
-    let clock: Arc<dyn Clock> = Arc::new(SystemClock::faster(args.speed));
+    let clock: Arc<dyn Clock> = match args.idle_s {
+        Some(idle) => Arc::new(PatientClock::new(args.speed, idle)),
+        None => Arc::new(SystemClock::faster(args.speed)),
+    };
     let twin = match &args.described_in {
         Some(path) => {
             let config = Config::read(path)?;

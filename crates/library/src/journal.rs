@@ -1,7 +1,8 @@
 //! The journal of the job under way: what a killed program was at, so that the next one can go on with it or end it.
 //!
 //! `head.json` tells the job; `state.json` is replaced before each step. Long strings of the state, such as the features of a reference
-//! frame, are files of their own under their checksum, written once, so that a step writes little.
+//! frame, and what lists begin with, such as the views of a calibration, are files of their own under their checksum, written once, so that a
+//! step writes little.
 
 use crate::LibraryError;
 use crate::files::{self, checksum, make_folder};
@@ -19,6 +20,9 @@ use std::time::SystemTime;
 /// A longer string of a state is a file of its own.
 const LONG: usize = 512;
 const BLOB: &str = "$blob";
+/// Elements of a list, as many as are this long together, are a file: what a list that grows had before is not written again, bytes.
+const PART: usize = 2048;
+const PARTS: &str = "$part";
 /// No file of a journal is larger, bytes.
 const LARGEST: u64 = 256 << 20;
 /// Where the stage was sent since the last step, a line each.
@@ -243,15 +247,14 @@ fn read_journal(folder: &Path) -> Result<Option<Journalled>, LibraryError> {
     Ok(Some(Journalled { head, step, goals }))
 }
 
-/// Takes the long strings out, each with the name of its file.
+/// Takes the long strings and the beginnings of long lists out, each with the name of its file.
 fn without_long(value: Value, blobs: &mut Vec<(String, String)>) -> Value {
     match value {
-        Value::String(text) if text.len() > LONG => {
-            let name = format!("{}.txt", checksum(text.as_bytes()));
-            blobs.push((name.clone(), text));
-            json!({BLOB: name})
+        Value::String(text) if text.len() > LONG => json!({BLOB: own_file(text, blobs)}),
+        Value::Array(all) => {
+            let all: Vec<Value> = all.into_iter().map(|v| without_long(v, blobs)).collect();
+            Value::Array(in_parts(all, blobs))
         }
-        Value::Array(all) => all.into_iter().map(|v| without_long(v, blobs)).collect(),
         Value::Object(all) => {
             let all = all.into_iter();
             let all = all.map(|(key, v)| (key, without_long(v, blobs)));
@@ -261,31 +264,78 @@ fn without_long(value: Value, blobs: &mut Vec<(String, String)>) -> Value {
     }
 }
 
-/// Puts the long strings back.
+/// A text becomes a file, whose name it is.
+fn own_file(text: String, blobs: &mut Vec<(String, String)>) -> String {
+    let name = format!("{}.txt", checksum(text.as_bytes()));
+    blobs.push((name.clone(), text));
+    name
+}
+
+/// A list whose elements are files from its beginning on, [`PART`] by `PART`, and its last few themselves: where one is added the files stay.
+fn in_parts(all: Vec<Value>, blobs: &mut Vec<(String, String)>) -> Vec<Value> {
+    let (mut parts, mut last, mut length) = (Vec::new(), Vec::new(), 0);
+    for value in all {
+        length += value.to_string().len() + 1;
+        last.push(value);
+        if length >= PART && last.len() > 1 {
+            let text = Value::Array(std::mem::take(&mut last)).to_string();
+            parts.push(json!({PARTS: own_file(text, blobs)}));
+            length = 0;
+        }
+    }
+    parts.append(&mut last);
+    parts
+}
+
+/// The only entry of an object, where that is its key.
+fn only<'a>(value: &'a Value, key: &str) -> Option<&'a str> {
+    let all = value.as_object().filter(|all| all.len() == 1)?;
+    all.get(key)?.as_str()
+}
+
+/// What is in a file of the state.
+fn file_of_state(name: &str, folder: &Path) -> Result<String, LibraryError> {
+    let known: BTreeSet<char> = "0123456789abcdef.txt".chars().collect();
+    if !name.chars().all(|c| known.contains(&c)) {
+        return Err(LibraryError::damaged(
+            folder,
+            "its state names no file of its own",
+        ));
+    }
+    let file = folder.join(name);
+    let text = scopeservo_files::read_text(&file, LARGEST).map_err(LibraryError::read(&file))?;
+    if name != format!("{}.txt", checksum(text.as_bytes())) {
+        return Err(LibraryError::damaged(&file, "its checksum is another"));
+    }
+    Ok(text)
+}
+
+/// Puts the long strings and the beginnings of lists back.
 fn with_long(value: Value, folder: &Path) -> Result<Value, LibraryError> {
     Ok(match value {
         Value::Array(all) => {
-            let all = all.into_iter().map(|v| with_long(v, folder));
-            Value::Array(all.collect::<Result<_, _>>()?)
+            let mut whole = Vec::with_capacity(all.len());
+            for value in all {
+                let Some(name) = only(&value, PARTS) else {
+                    whole.push(with_long(value, folder)?);
+                    continue;
+                };
+                let part = file_of_state(name, folder)?;
+                let part: Vec<Value> = serde_json::from_str(&part)
+                    .map_err(|e| LibraryError::damaged(&folder.join(name), e))?;
+                for value in part {
+                    whole.push(with_long(value, folder)?);
+                }
+            }
+            Value::Array(whole)
+        }
+        Value::Object(all) if all.len() == 1 && all.contains_key(BLOB) => {
+            match only(&Value::Object(all.clone()), BLOB) {
+                Some(name) => Value::String(file_of_state(name, folder)?),
+                None => Value::Object(all),
+            }
         }
         Value::Object(all) => {
-            let blob = all.get(BLOB).and_then(Value::as_str);
-            if let Some(name) = blob.filter(|_| all.len() == 1) {
-                let known: BTreeSet<char> = "0123456789abcdef.txt".chars().collect();
-                let file = folder.join(name);
-                if !name.chars().all(|c| known.contains(&c)) {
-                    return Err(LibraryError::damaged(
-                        folder,
-                        "its state names no file of its own",
-                    ));
-                }
-                let text = scopeservo_files::read_text(&file, LARGEST)
-                    .map_err(LibraryError::read(&file))?;
-                if name != format!("{}.txt", checksum(text.as_bytes())) {
-                    return Err(LibraryError::damaged(&file, "its checksum is another"));
-                }
-                return Ok(Value::String(text));
-            }
             let all = all.into_iter();
             let all = all.map(|(key, v)| Ok((key, with_long(v, folder)?)));
             Value::Object(all.collect::<Result<_, LibraryError>>()?)
@@ -339,6 +389,36 @@ mod tests {
         // The next job begins with nothing of this one.
         folder.begin_journal("lab", &head()).unwrap();
         assert_eq!(folder.journal("lab").unwrap().unwrap().step, None);
+    }
+
+    /// What a list had before is not written again, and no step of a long job writes more than the others.
+    #[test]
+    fn a_list_that_grows_is_written_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::new(dir.path().into());
+        folder.begin_journal("lab", &head()).unwrap();
+        let view = |k: usize| {
+            let at = [0.1 * k as f64; 12];
+            json!({"k": k, "at": at.as_slice(), "features": "f".repeat(600 + k)})
+        };
+        let mut views = Vec::new();
+        let mut most = 0;
+        for n in 0..200 {
+            views.push(view(n));
+            let state = json!({"views": views, "of each": [[1, 2], [3, n]], "none": []});
+            let state = JournalStep {
+                state,
+                ..step(n as u64)
+            };
+            let written = folder.journal_step("lab", &state).unwrap();
+            most = most.max(written);
+            if n % 37 == 0 || n == 199 {
+                let back = folder.journal("lab").unwrap().unwrap();
+                assert_eq!(back.step, Some(state));
+            }
+        }
+        // One view and its features, a part of the list that is full, and the places of the parts.
+        assert!(most < 8000, "{most}");
     }
 
     #[test]

@@ -16,6 +16,7 @@
 )]
 #![warn(clippy::too_many_lines)]
 
+pub mod constellation;
 mod contest;
 mod corners;
 pub mod correlation;

@@ -30,7 +30,7 @@ pub fn log10_nfa(sample: usize, matches: usize, agreeing: usize, chance: f64) ->
     ln / std::f64::consts::LN_10
 }
 
-fn ln_choose(n: usize, k: usize) -> f64 {
+pub(crate) fn ln_choose(n: usize, k: usize) -> f64 {
     let k = k.min(n - k);
     (0..k).map(|i| ((n - i) as f64 / (i + 1) as f64).ln()).sum()
 }

@@ -34,6 +34,7 @@ mod stored;
 mod summary;
 mod svg;
 mod text;
+mod tilt;
 mod timeline;
 mod told;
 mod views;

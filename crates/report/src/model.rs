@@ -99,6 +99,8 @@ pub enum Work {
     Calibration,
     /// A focus.
     Focus,
+    /// A look at how the view is tilted, and levelling it.
+    Level,
 }
 
 /// Why such work failed.

@@ -4,7 +4,7 @@ use crate::stored::Stored;
 use crate::told::{Calibrating, Ended, Iteration, Look, Lost, Magnification, Span, Sweep};
 use scopeservo_geometry::{Affine2, Vec2};
 use scopeservo_scope::{ObjectiveId, StagePose};
-use scopeservo_servo::{Calibration, Event, FrameRole, Outcome, Phase, Stamped};
+use scopeservo_servo::{Calibration, Event, FrameRole, Outcome, Phase, Stamped, TiltReport};
 
 /// The whole run.
 #[derive(Default)]
@@ -13,6 +13,8 @@ pub(crate) struct Timeline<'a> {
     pub(crate) target_objective: Option<&'a ObjectiveId>,
     pub(crate) spans: Vec<Span<'a>>,
     pub(crate) sweeps: Vec<Sweep<'a>>,
+    /// How the view was seen to be tilted, in order.
+    pub(crate) tilts: Vec<&'a TiltReport>,
     pub(crate) calibrations: Vec<Calibrating<'a>>,
     pub(crate) magnifications: Vec<Magnification<'a>>,
     pub(crate) outcome: Option<&'a Outcome>,
@@ -83,6 +85,7 @@ impl<'a> Timeline<'a> {
             Event::Focused { objective, result } => {
                 self.sweep(Some(objective)).result = Some(result)
             }
+            Event::Tilted { tilt } => self.tilts.push(tilt),
             Event::Identified { .. }
             | Event::SteppedAside { .. }
             | Event::Blurred { .. }

@@ -1,4 +1,4 @@
-//! The report of a calibration or a focus: how it ended, in plain words, and how that is known.
+//! The report of a calibration, a focus or a tilt: how it ended, in plain words, and how that is known.
 
 use crate::calibration::{card, in_words};
 use crate::changes::{beside_each_other, section as changes};
@@ -9,11 +9,11 @@ use crate::summary::{DONE, REFUSED, UNFINISHED, beside, head, sentence};
 use crate::text::{count, escape, fixed, seconds};
 use crate::timeline::Timeline;
 use crate::told::Calibrating;
-use crate::{Context, Recorder, chain, focus, provenance};
+use crate::{Context, Recorder, chain, focus, provenance, tilt};
 use scopeservo_servo::Calibration;
 use std::fmt::Write as _;
 
-/// The page of a calibration or a focus, whatever came of it.
+/// The page of a calibration, a focus or a tilt, whatever came of it.
 pub fn work_html(recorder: &Recorder, end: &WorkEnd, context: &Context) -> String {
     let timeline = Timeline::read(recorder.events(), &context.stored);
     let gallery = gallery(recorder, &timeline, end);
@@ -29,6 +29,9 @@ pub fn work_html(recorder: &Recorder, end: &WorkEnd, context: &Context) -> Strin
     }
     if end.work == Work::Calibration {
         parts.push(("What was measured", measured(&report, end)));
+    }
+    if !report.timeline.tilts.is_empty() {
+        parts.push(("How the view is tilted", tilt::section(&report)));
     }
     if !report.timeline.sweeps.is_empty() {
         parts.push(("Focus", focus::section(&report)));
@@ -57,8 +60,10 @@ fn answer(end: &WorkEnd) -> (Look, &'static str) {
         (Some(true), _) => (UNFINISHED, "Stopped"),
         (Some(false), Work::Calibration) => (REFUSED, "Not calibrated"),
         (Some(false), Work::Focus) => (REFUSED, "No focus"),
+        (Some(false), Work::Level) => (REFUSED, "Not levelled"),
         (None, Work::Calibration) => (DONE, "Calibrated"),
         (None, Work::Focus) => (DONE, "In focus"),
+        (None, Work::Level) => (DONE, "Tilt measured"),
     }
 }
 
@@ -75,6 +80,7 @@ fn message(r: &Report<'_>, end: &WorkEnd) -> String {
                 _ => format!("{made} objectives are calibrated."),
             }
         }
+        Work::Level => tilt::in_words(&r.timeline.tilts),
         Work::Focus => {
             let last = r.timeline.sweeps.iter().rev().find_map(|s| s.result);
             let z_um = last.and_then(|f| f.z_um);

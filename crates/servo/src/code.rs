@@ -42,6 +42,8 @@ pub enum ErrorCode {
     GridFailed,
     /// Whether a calibration still holds could not be seen.
     CheckFailed,
+    /// The tilt could not be seen, or the stage did not level it.
+    LevelFailed,
     /// The objective works in another medium than is on the specimen, and nobody agreed to that.
     Immersion,
     /// The way leads past a rule of the motion gate.
@@ -81,7 +83,8 @@ impl ErrorCode {
             | Self::NothingMoves
             | Self::Ambiguous
             | Self::GridFailed
-            | Self::CheckFailed => ErrorKind::Answer,
+            | Self::CheckFailed
+            | Self::LevelFailed => ErrorKind::Answer,
             Self::Immersion | Self::OutsideLimits | Self::Refused => ErrorKind::Refusal,
             Self::Interrupted => ErrorKind::Interruption,
             Self::Fault | Self::Internal => ErrorKind::Fault,
@@ -125,6 +128,7 @@ impl ServoError {
             | Self::GridTooFineForStage { .. }
             | Self::GridUnfollowed { .. }
             | Self::GridStage { .. } => ErrorCode::GridFailed,
+            Self::Level(_) => ErrorCode::LevelFailed,
             Self::MovesTooFar { .. } => ErrorCode::Refused,
             Self::StaysNear { .. } => ErrorCode::Fault,
             Self::Features(_) | Self::CannotGoOn(_) => ErrorCode::Internal,

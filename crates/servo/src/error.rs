@@ -1,6 +1,6 @@
 //! What can stop a procedure.
 
-use crate::words::{pitch_in_words, rival_in_words, way_in_words};
+use crate::words::{astray_in_words, pitch_in_words, rival_in_words, way_in_words};
 use scopeservo_features::FeatureError;
 use scopeservo_registration::{NoGrid, NotFound, Rival};
 use scopeservo_scope::{Axis, ObjectiveId, ScopeError};
@@ -155,10 +155,7 @@ pub enum ServoError {
     #[error(
         "calibration of {objective} was refused: {}. The stage lost steps, an axis stopped, the slide slipped, or something was moved by hand \
          meanwhile",
-        off_um.map_or(
-            "views that must show the same place do not".to_owned(),
-            |um| format!("in the end the view was {um:.1} um beside where the stage said it is")
-        )
+        astray_in_words(*off_um)
     )]
     ViewAstray {
         /// The active objective.
@@ -434,6 +431,9 @@ pub enum ServoError {
         /// How far it was sent, m or rad.
         asked: f64,
     },
+    /// The tilt could not be seen, or the stage did not level it.
+    #[error(transparent)]
+    Level(#[from] crate::LevelError),
     /// Something failed, and the stage could not be taken back from the specimen to where the command began.
     #[error(
         "{error}. And the stage may stand nearer to the specimen than it did before, as it could not be taken back: {why}"

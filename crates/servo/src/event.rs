@@ -2,7 +2,9 @@
 
 use crate::calibrate::told::{ChainPlace, ChainView};
 use crate::pixels_seen::PixelsSeen;
-use crate::{Calibration, FocusResult, Identity, Outcome, PoseError, Promised, Remark, Velocity};
+use crate::{
+    Calibration, FocusResult, Identity, Outcome, PoseError, Promised, Remark, TiltReport, Velocity,
+};
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Frame, Instrument, ObjectiveId, StagePose};
@@ -97,6 +99,11 @@ pub enum Event {
         objective: ObjectiveId,
         /// The result.
         result: FocusResult,
+    },
+    /// How the view is tilted was measured.
+    Tilted {
+        /// What was seen.
+        tilt: Box<TiltReport>,
     },
     /// The view that is to be saved is blurred, and was left so.
     Blurred {

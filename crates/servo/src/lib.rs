@@ -31,6 +31,7 @@ mod identify;
 mod identity;
 mod kinematics;
 mod law;
+mod level;
 mod localize;
 mod one_side;
 mod pixels_seen;
@@ -67,6 +68,10 @@ pub use identify::Identify;
 pub use identity::Identity;
 pub use kinematics::{Motion2, PlanarPose, motion_between, pose_after};
 pub use law::{ControlLaw, Direct, Proportional, Velocity, control_law, motion_of};
+pub use level::{
+    BlockHeight, Level, LevelError, LevelOptions, LevelReport, Levelled, MeasureTilt, StageTilt,
+    Tilt, TiltReport,
+};
 pub use localize::{CorrelationLocalizer, Expected, FeatureLocalizer, Localizer, Measurement};
 pub use pixels_seen::PixelsSeen;
 pub use pose::{PoseError, PoseEstimate, pose_error, pose_estimate};

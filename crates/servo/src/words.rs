@@ -20,6 +20,14 @@ pub(crate) fn rival_in_words(rival: &Rival, um_per_px: Option<f64>) -> String {
     }
 }
 
+/// Where a view was in the end, when it was found again.
+pub(crate) fn astray_in_words(off_um: Option<f64>) -> String {
+    off_um.map_or(
+        "views that must show the same place do not".to_owned(),
+        |um| format!("in the end the view was {um:.1} um beside where the stage said it is"),
+    )
+}
+
 /// How far an axis goes, of m or rad.
 pub(crate) fn way_in_words(axis: Axis, si: f64) -> String {
     match axis.is_rotation() {

@@ -13,6 +13,8 @@ use std::sync::Arc;
 
 /// No slide is larger, um.
 const FARTHEST_UM: f64 = 1e5;
+/// No slide lies at a steeper angle.
+const STEEPEST_MRAD: f64 = 50.0;
 
 /// The simulated microscope.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -33,6 +35,8 @@ pub struct TwinConfig {
     /// How far the specimen is turned.
     #[serde(default)]
     pub turned_deg: f64,
+    /// How the slide is tilted, um of height per mm along x and y; as slides usually lie without.
+    pub tilt_mrad: Option<[f64; 2]>,
     /// Which stage it has.
     #[serde(default)]
     pub stage: TwinStage,
@@ -83,6 +87,7 @@ impl Default for TwinConfig {
             um_per_px: None,
             centre_um: [0.0; 2],
             turned_deg: 0.0,
+            tilt_mrad: None,
             stage: TwinStage::default(),
             objectives: None,
             mirrored: false,
@@ -120,6 +125,13 @@ impl TwinConfig {
         });
         make.mount.mirrored = self.mirrored;
         make.camera = self.camera.clone();
+        if let Some(tilt) = self.tilt_mrad {
+            if !tilt.iter().all(|v| v.abs() <= STEEPEST_MRAD) {
+                let what = format!("tilt_mrad must be from -{STEEPEST_MRAD} to {STEEPEST_MRAD}");
+                return Err(bad(what));
+            }
+            make.slide.tilt_mrad = tilt;
+        }
         let known: Vec<String> = make.optics.iter().map(|o| o.id.0.clone()).collect();
         let named = self.objectives.iter().flatten();
         if let Some(id) = named

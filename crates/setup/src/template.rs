@@ -121,6 +121,7 @@ seed = 1
 # camera.dust = [{ specks = 40, radius_px = [2, 20], steepness = [1, 60] }]   # on the camera; also camera.marks, camera.pattern
 centre_um = [0, 0]                # what lies under the view's centre at the start
 turned_deg = 0
+# tilt_mrad = [5, -3]             # the slide does not lie flat: for `scopeservo level`
 # stage = "hexapod"               # or "xyz-theta", "xyz", "xy"
 # objectives = ["10x", "40x"]     # of 10x, 20x, 40x
 # mirrored = true                 # the camera's picture is mirrored

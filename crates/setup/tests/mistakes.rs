@@ -314,4 +314,10 @@ fn rules_that_do_not_fit_the_devices_name_the_file_the_line_and_the_key() {
         let said = said(&text, line_of(&text, "twin.twin]"));
         assert!(said.contains(right), "{said}");
     }
+    for tilt in ["[99, 0]", "[0, -51]", "[nan, 0]"] {
+        let more = format!("turned_deg = 0\ntilt_mrad = {tilt}");
+        let text = TWIN_TEMPLATE.replace("turned_deg = 0", &more);
+        let said = said(&text, line_of(&text, "twin.twin]"));
+        assert!(said.contains("tilt_mrad must be from -50 to 50"), "{said}");
+    }
 }

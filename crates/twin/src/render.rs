@@ -123,16 +123,22 @@ pub(crate) fn render(scene: &Scene, view: &View, smear_px: f64) -> Result<Planes
     Ok(out)
 }
 
-/// The defoci at which the image is computed: one for a level specimen, up to five across a tilted one.
+/// Up to so much of the depth of field the defocus of a corner is that of the middle.
+const LEVEL: f64 = 0.06;
+/// A tilted specimen is computed at so many defoci, at most.
+const SLICES: usize = 9;
+
+/// The defoci at which the image is computed: one for a level specimen, and across a tilted one so many that two are no farther apart than the
+/// depth of field, as far as there are that many.
 fn focal_slices(scene: &Scene, view: &View) -> Vec<f64> {
     let reach = 0.5
         * (view.slope_um[0].abs() * scene.width as f64
             + view.slope_um[1].abs() * scene.height as f64);
     let dof = depth_of_field_um(scene.optics.numerical_aperture);
-    if reach < 0.25 * dof {
+    if reach < LEVEL * dof {
         return vec![view.defocus_um];
     }
-    let count = ((2.0 * reach / dof).ceil() as usize + 1).clamp(3, 5);
+    let count = ((2.0 * reach / dof).ceil() as usize + 1).clamp(3, SLICES);
     (0..count)
         .map(|i| view.defocus_um + reach * (2.0 * i as f64 / (count - 1) as f64 - 1.0))
         .collect()

@@ -26,6 +26,10 @@ pub struct Truth {
     pub um_per_px: f64,
     /// Defocus in the middle of the image, um. Positive: objective and specimen are too close.
     pub defocus_um: f64,
+    /// Change of the defocus from a pixel to the next one on the right and below, um: specimen and stage tilted against each other. Logs of
+    /// earlier versions do not tell.
+    #[serde(default)]
+    pub defocus_slope_um_per_px: [f64; 2],
 }
 
 impl Truth {
@@ -57,6 +61,7 @@ impl Truth {
             angle_deg: m[1][0].atan2(m[0][0]).to_degrees(),
             um_per_px: view.um_per_px(),
             defocus_um: view.defocus_um,
+            defocus_slope_um_per_px: view.slope_um,
         }
     }
 }

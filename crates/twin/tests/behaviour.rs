@@ -129,6 +129,33 @@ fn tilting_the_stage_blurs_one_side() {
 }
 
 #[test]
+fn the_defocus_slopes_as_slide_and_stage_are_tilted_against_each_other() {
+    for (tilt_mrad, rx, ry) in [
+        ([3.0, -2.0], 0.0, 0.0),
+        ([0.0, 0.0], 1e-3, 2e-3),
+        ([3.0, -2.0], 1e-3, 2e-3),
+        ([-3.0, 2.0], -2e-3, -3e-3),
+    ] {
+        let mut config = hexapod();
+        config.mount.phi_deg = 0.0;
+        config.mount.eta_mm = [0.0; 2];
+        config.slide.tilt_mrad = tilt_mrad;
+        let (kx, ky) = (config.optics[0].kx_px_per_m, config.optics[0].ky_px_per_m);
+        let bench = Bench::new(config, waves());
+        let tipped = StagePose::default().with_si(Axis::Rx, rx);
+        bench.move_to(tipped.with_si(Axis::Ry, ry));
+        let slope = bench.twin.truth_now().defocus_slope_um_per_px;
+        // To the right lies y of the stage, downwards x.
+        let right = (1e-3 * tilt_mrad[1] + rx) * 1e6 / kx.abs();
+        let down = (1e-3 * tilt_mrad[0] - ry) * 1e6 / ky.abs();
+        assert!(
+            (slope[0] - right).abs() < 1e-6 && (slope[1] - down).abs() < 1e-6,
+            "{slope:?} {right} {down}"
+        );
+    }
+}
+
+#[test]
 fn saturation_and_exposure() {
     let bench = Bench::new(hexapod(), grey(0.5));
     let normal = mean(&bench.grab());

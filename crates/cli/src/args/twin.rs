@@ -4,6 +4,7 @@ use super::common::AnswerArgs;
 use super::moving::MovingArgs;
 use clap::{Args, Subcommand, ValueEnum};
 use std::path::PathBuf;
+use std::time::Duration;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum TwinCommand {
@@ -36,6 +37,10 @@ pub(crate) struct TwinServeArgs {
     /// How many times as fast as in life its stage moves, 1 to 1000.
     #[arg(long, value_name = "TIMES", value_parser = parse_speed, default_value = "1")]
     pub(crate) speed: f64,
+    /// How much of its time passes at most between two requests. Without it, as much as does: a program that is kept waiting by a busy computer
+    /// then finds that the stage has drifted.
+    #[arg(long, value_name = "S", value_parser = parse_idle)]
+    pub(crate) idle_s: Option<Duration>,
     /// Seed of everything that is drawn.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) seed: u64,
@@ -104,6 +109,12 @@ pub(crate) struct DemoArgs {
     pub(crate) out: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) answer: AnswerArgs,
+}
+
+fn parse_idle(text: &str) -> Result<Duration, String> {
+    let idle = text.parse().ok().filter(|s| (0.01..=3600.0).contains(s));
+    idle.map(Duration::from_secs_f64)
+        .ok_or_else(|| "seconds, 0.01 to 3600".into())
 }
 
 fn parse_speed(text: &str) -> Result<f64, String> {

@@ -109,6 +109,42 @@ pub(crate) struct GridArgs {
 
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
+  scopeservo level --objective 40x           measures
+  scopeservo level --apply                   and levels, on a stage with rx, ry or both
+  scopeservo level --no-focus --json
+
+Over tissue all over the field. The height at which each part of the view is sharpest tells how the specimen is tilted against the focal plane, and what
+that costs at a corner beside the depth of field. Levelling turns an axis by a little, sees what that does, and believes nothing that the stage
+says of its directions; before each turn the stage retreats by what a lever of --lever-mm may bring the slide nearer. A view that did not get better
+is put back. Exit code 3 where the tilt could not be seen, or a tilt that --apply should have taken away is left.")]
+pub(crate) struct LevelArgs {
+    #[command(flatten)]
+    pub(crate) instrument: InstrumentArgs,
+    /// Bring this objective into the beam first.
+    #[arg(long, value_name = "ID")]
+    pub(crate) objective: Option<String>,
+    /// Level the view. Without, nothing moves but the focus.
+    #[arg(long)]
+    pub(crate) apply: bool,
+    /// The farthest that an axis which tips may lie from the view.
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 300.0,
+        allow_negative_numbers = true
+    )]
+    pub(crate) lever_mm: f64,
+    /// Do not focus first.
+    #[arg(long)]
+    pub(crate) no_focus: bool,
+    #[command(flatten)]
+    pub(crate) focusing: FocusingArgs,
+    #[command(flatten)]
+    pub(crate) answer: AnswerArgs,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
   scopeservo check                           every objective with a calibration, from the lowest magnification up
   scopeservo check --objective 40x --no-focus
   scopeservo check --json

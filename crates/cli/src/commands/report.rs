@@ -1,4 +1,4 @@
-//! The report of a calibration or a focus, whether it succeeded or not.
+//! The report of a calibration, a focus or a tilt, whether it succeeded or not.
 
 use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
@@ -30,6 +30,7 @@ pub(super) fn work_page(
     let what = match end.work {
         Work::Calibration => "Calibration",
         Work::Focus => "Focus",
+        Work::Level => "Tilt",
     };
     let context = Context {
         title: format!("{what} of {}", opened.config.name),

@@ -1,6 +1,6 @@
 //! `scopeservo resume` and `scopeservo abandon`: what becomes of a job whose program was killed.
 
-use super::{calibrate, check, focus, grid, reposition, save_target};
+use super::{calibrate, check, focus, grid, level, reposition, save_target};
 use crate::answer::Answer;
 use crate::args::{AbandonArgs, ResumeArgs};
 use crate::commands::library_of;
@@ -62,6 +62,7 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
         AnyJob::Focus(job) => focus::run(&opened, *job, asked, answer),
         AnyJob::Calibrate(job) => calibrate::run(&opened, *job, asked, &args.report.out, answer),
         AnyJob::Grid(job) => grid::run(&opened, *job, asked, answer),
+        AnyJob::Level(job) => level::run(&opened, *job, asked, answer),
         AnyJob::Check(job) => check::run(&opened, *job, asked, false, answer),
         AnyJob::SaveTarget(_) if library.target_path(name).is_ok() => {
             save_target::was_kept(&opened, name, answer)

@@ -26,11 +26,15 @@ use crate::event::tell;
 use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::grab;
 use crate::{Event, FrameRole, ServoError, Sink};
-use sample::Sample;
 use scopeservo_scope::{Axis, AxisInfo, Instrument, Length, ScopeError};
-use state::{depth_of_field_um, height};
+use state::height;
 
 pub use measure::{FocusMeasure, Measure};
+pub(crate) use peak::Peak;
+pub(crate) use point::Point;
+pub(crate) use sample::Sample;
+pub(crate) use state::depth_of_field_um;
+
 pub use options::{FocusOptions, FocusResult};
 pub use sharpness::sharpness;
 pub use state::Focus;

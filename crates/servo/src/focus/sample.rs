@@ -20,6 +20,9 @@ pub(crate) struct Cells {
     pub(crate) count: f64,
     #[serde(with = "crate::compact::sizes")]
     values: Vec<Size>,
+    /// Columns; all of one row where an earlier version kept none.
+    #[serde(default)]
+    across: usize,
 }
 
 impl Cells {
@@ -55,7 +58,17 @@ impl Cells {
         Self {
             count: (inner[0] * inner[1]) as f64 / sums.len() as f64,
             values: sums.iter().map(value).collect(),
+            across,
         }
+    }
+
+    /// Columns and rows.
+    pub(crate) fn shape(&self) -> [usize; 2] {
+        let across = match self.across {
+            0 => self.len().max(1),
+            across => across,
+        };
+        [across, self.len() / across]
     }
 
     pub(crate) fn len(&self) -> usize {

@@ -163,6 +163,6 @@ pub(super) fn height(z_um: f64) -> StagePose {
 const WAVELENGTH_UM: f64 = 0.55;
 
 /// Depth of field by the wave's nature, um.
-pub(super) fn depth_of_field_um(objective: &Objective) -> f64 {
+pub(crate) fn depth_of_field_um(objective: &Objective) -> f64 {
     WAVELENGTH_UM / objective.numerical_aperture.powi(2)
 }

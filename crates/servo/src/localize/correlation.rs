@@ -3,7 +3,7 @@
 //! What the blocks of a correlation agree on are correspondences as those of features are, at places of the target that are the same from frame to
 //! frame: the proof by motion asks of them what it asks of features. What else looks like the target is told as a rival.
 
-use super::{Expected, FeatureLocalizer, Localizer, Measurement};
+use super::{Expected, FeatureLocalizer, Localizer, Measurement, says_nothing};
 use crate::{FixedPlaces, ServoError, Target, VisionOptions};
 use scopeservo_features::{GrayImage, Mask};
 use scopeservo_geometry::Vec2;
@@ -89,14 +89,7 @@ impl Localizer for CorrelationLocalizer<'_> {
             Ok(measured) => return Ok(Ok(measured)),
             Err(reason) => reason,
         };
-        let says_nothing = matches!(
-            reason,
-            NotFound::TooFewFeatures { .. }
-                | NotFound::TooFewMatches { .. }
-                | NotFound::NoAgreement { .. }
-                | NotFound::ByChance { .. }
-        );
-        let seen = match says_nothing {
+        let seen = match says_nothing(&reason) {
             true => self.correlated(target, view, expected),
             false => None,
         };

@@ -1,9 +1,10 @@
-//! Features of view and target, matched and fitted: the paper's way.
+//! Features of view and target, matched and fitted: the paper's way. Where what they look like says nothing, how they lie may.
 
-use super::{Expected, Localizer, Measurement};
+use super::{Expected, Localizer, Measurement, says_nothing};
 use crate::target::{MIN_MOVED_FEATURES, MIN_TARGET_FEATURES};
 use crate::{ServoError, Target, VisionOptions};
 use scopeservo_features::{Features, GrayImage};
+use scopeservo_registration::constellation::constellation;
 use scopeservo_registration::{
     Correspondences, NotFound, Rival, find_rivals, register_correspondences,
 };
@@ -92,10 +93,24 @@ impl FeatureLocalizer<'_> {
         let free = expected.fixed.without(&features);
         let of_target = expected.fixed.without(&target.features);
         let engine = &*self.vision.engine;
-        let correspondences = Correspondences::of(engine, &free, &of_target, prior, options)?;
-        let registration = register_correspondences(&correspondences, prior, options);
+        let matched = Correspondences::of(engine, &free, &of_target, prior, options);
+        let seen = matched.and_then(|correspondences| {
+            let registration = register_correspondences(&correspondences, prior, options);
+            Ok((registration.outcome.clone()?, registration, correspondences))
+        });
+        let (estimate, registration, correspondences) = seen.or_else(|reason| {
+            let lie = says_nothing(&reason)
+                .then(|| constellation(&free, &of_target, prior, options))
+                .flatten();
+            // What could lie elsewhere as well is not a place: another magnification may tell.
+            let sure = lie
+                .filter(|lie| lie.rivals.is_empty())
+                .ok_or(reason.clone())?;
+            let estimate = sure.registration.outcome.clone().map_err(|_| reason)?;
+            Ok((estimate, sure.registration, sure.correspondences))
+        })?;
         Ok(Measurement {
-            estimate: registration.outcome.clone()?,
+            estimate,
             registration,
             correspondences,
             features: Some(features),

@@ -38,6 +38,17 @@ pub struct Measurement {
     pub rivals: Vec<Rival>,
 }
 
+/// Whether descriptors say nothing, and another way may.
+fn says_nothing(reason: &NotFound) -> bool {
+    matches!(
+        reason,
+        NotFound::TooFewFeatures { .. }
+            | NotFound::TooFewMatches { .. }
+            | NotFound::NoAgreement { .. }
+            | NotFound::ByChance { .. }
+    )
+}
+
 /// Finds a target in views.
 pub trait Localizer: Debug + Send + Sync {
     /// Adds to a target what it lacks to be looked for: a target may come from another program or microscope.

@@ -121,10 +121,11 @@ impl Reason {
             ErrorCode::NothingMoves => Self::NothingMoves,
             ErrorCode::Ambiguous => Self::Ambiguous,
             ErrorCode::WrongObjective => Self::WrongObjective,
-            // No run looks at a grid or checks a calibration; what it would be is one that failed.
-            ErrorCode::CalibrationFailed | ErrorCode::GridFailed | ErrorCode::CheckFailed => {
-                Self::CalibrationFailed
-            }
+            // No run looks at a grid, checks a calibration or levels; what it would be is one that failed.
+            ErrorCode::CalibrationFailed
+            | ErrorCode::GridFailed
+            | ErrorCode::CheckFailed
+            | ErrorCode::LevelFailed => Self::CalibrationFailed,
             ErrorCode::OutsideLimits => Self::OutsideLimits,
             ErrorCode::Immersion
             | ErrorCode::Refused

@@ -3,8 +3,8 @@
 use super::{
     CalibrateInput, CalibrateJob, CalibrateOutput, CheckInput, CheckJob, CheckOutput, DoctorInput,
     DoctorJob, DoctorOutput, FocusInput, FocusJob, FocusOutput, GridInput, GridJob, GridOutput,
-    IdentifyInput, IdentifyJob, IdentifyOutput, RepositionInput, RepositionJob, RepositionOutput,
-    SaveTargetInput, SaveTargetJob, SaveTargetOutput,
+    IdentifyInput, IdentifyJob, IdentifyOutput, LevelInput, LevelJob, LevelOutput, RepositionInput,
+    RepositionJob, RepositionOutput, SaveTargetInput, SaveTargetJob, SaveTargetOutput,
 };
 use crate::{JobError, UseCase, Work};
 use scopeservo_servo::{Progress, Target};
@@ -20,6 +20,7 @@ pub enum Request {
     Focus(FocusInput),
     Calibrate(CalibrateInput),
     Grid(GridInput),
+    Level(LevelInput),
     Check(CheckInput),
     SaveTarget(SaveTargetInput),
     Reposition(RepositionInput),
@@ -35,6 +36,7 @@ pub enum Answer {
     Focus(FocusOutput),
     Calibrate(CalibrateOutput),
     Grid(Box<GridOutput>),
+    Level(Box<LevelOutput>),
     Check(CheckOutput),
     SaveTarget(Box<SaveTargetOutput>),
     Reposition(Box<RepositionOutput>),
@@ -50,6 +52,7 @@ pub enum AnyJob {
     Focus(Box<FocusJob>),
     Calibrate(Box<CalibrateJob>),
     Grid(Box<GridJob>),
+    Level(Box<LevelJob>),
     Check(Box<CheckJob>),
     SaveTarget(Box<SaveTargetJob>),
     Reposition(Box<RepositionJob>),
@@ -70,6 +73,7 @@ impl AnyJob {
             Request::Focus(input) => Self::Focus(Box::new(FocusJob::new(input))),
             Request::Calibrate(input) => Self::Calibrate(Box::new(CalibrateJob::new(input))),
             Request::Grid(input) => Self::Grid(Box::new(GridJob::new(input))),
+            Request::Level(input) => Self::Level(Box::new(LevelJob::new(input))),
             Request::Check(input) => Self::Check(Box::new(CheckJob::new(input))),
             Request::SaveTarget(input) => Self::SaveTarget(Box::new(SaveTargetJob::new(input))),
             Request::Identify(input) => Self::Identify(Box::new(IdentifyJob::new(input))),
@@ -95,6 +99,7 @@ impl AnyJob {
             "focus" => Self::Focus(read(state)?),
             "calibrate" => Self::Calibrate(read(state)?),
             "grid" => Self::Grid(read(state)?),
+            "level" => Self::Level(read(state)?),
             "check" => Self::Check(read(state)?),
             "save_target" => Self::SaveTarget(read(state)?),
             "identify" => Self::Identify(read(state)?),
@@ -140,6 +145,7 @@ impl UseCase for AnyJob {
             Self::Focus(job) => job.kind(),
             Self::Calibrate(job) => job.kind(),
             Self::Grid(job) => job.kind(),
+            Self::Level(job) => job.kind(),
             Self::Check(job) => job.kind(),
             Self::SaveTarget(job) => job.kind(),
             Self::Reposition(job) => job.kind(),
@@ -153,6 +159,7 @@ impl UseCase for AnyJob {
             Self::Focus(job) => job.can_go_on(),
             Self::Calibrate(job) => job.can_go_on(),
             Self::Grid(job) => job.can_go_on(),
+            Self::Level(job) => job.can_go_on(),
             Self::Check(job) => job.can_go_on(),
             Self::SaveTarget(job) => job.can_go_on(),
             Self::Reposition(job) => job.can_go_on(),
@@ -166,6 +173,7 @@ impl UseCase for AnyJob {
             Self::Focus(job) => answer(job.step(work)?, Answer::Focus),
             Self::Calibrate(job) => answer(job.step(work)?, Answer::Calibrate),
             Self::Grid(job) => answer(job.step(work)?, |told| Answer::Grid(Box::new(told))),
+            Self::Level(job) => answer(job.step(work)?, |told| Answer::Level(Box::new(told))),
             Self::Check(job) => answer(job.step(work)?, Answer::Check),
             Self::SaveTarget(job) => {
                 answer(job.step(work)?, |saved| Answer::SaveTarget(Box::new(saved)))

@@ -10,6 +10,7 @@ mod doctor;
 mod focus;
 mod grid;
 mod identify;
+mod level;
 mod reposition;
 mod save_target;
 
@@ -22,5 +23,6 @@ pub use doctor::{
 pub use focus::{FocusInput, FocusJob, FocusOutput};
 pub use grid::{GridInput, GridJob, GridOutput};
 pub use identify::{IdentifyInput, IdentifyJob, IdentifyOutput};
+pub use level::{LevelInput, LevelJob, LevelOutput};
 pub use reposition::{RepositionInput, RepositionJob, RepositionOutput};
 pub use save_target::{SaveTargetInput, SaveTargetJob, SaveTargetOutput};
