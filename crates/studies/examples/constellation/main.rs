@@ -139,11 +139,10 @@ impl Bench {
     }
 }
 
-fn specimen(
-    family: Family,
-    rng: &mut SplitMix64,
-    index: u64,
-) -> Outcome<Option<(Arc<dyn Specimen>, f64, f64)>> {
+/// A specimen, its cells per square millimetre, and half of what is covered, um.
+type Laid = (Arc<dyn Specimen>, f64, f64);
+
+fn specimen(family: Family, rng: &mut SplitMix64, index: u64) -> Outcome<Option<Laid>> {
     if matches!(family, Family::Same | Family::Elsewhere) {
         let per_mm2 = 20.0 * 32f64.powf(rng.uniform());
         let smear = Sparse::new(SparseConfig {
