@@ -3,7 +3,8 @@
 use scopeservo_features::{Descriptors, Features, Keypoint};
 use scopeservo_geometry::{Affine2, Similarity, SplitMix64, Vec2};
 use scopeservo_registration::constellation::{Constellation, constellation};
-use scopeservo_registration::{NotFound, Options, Prior, RotationPrior, ScalePrior};
+use scopeservo_registration::{Options, Prior, RotationPrior, ScalePrior};
+use std::f64::consts::{PI, TAU};
 
 const RATIO: f64 = 4.0;
 const SIZE: [f64; 2] = [640.0, 480.0];
@@ -40,7 +41,7 @@ fn seen(
             x: at[0] as f32,
             y: at[1] as f32,
             sigma: (sigma * scale) as f32,
-            angle: (6.28 * rng.uniform() - 3.14) as f32,
+            angle: (TAU * rng.uniform() - PI) as f32,
             response: rng.uniform() as f32,
             bright: false,
             octave: 0,
@@ -101,7 +102,7 @@ fn things_that_look_alike_are_found_by_how_they_lie() {
         let things = scattered(96 + 6 * seed as usize, &mut rng);
         let truth = target_at(
             [180.0 + 280.0 * rng.uniform(), 140.0 + 200.0 * rng.uniform()],
-            6.28 * rng.uniform(),
+            TAU * rng.uniform(),
         );
         let view = seen(&things, &Affine2::IDENTITY, 0.1, &mut rng);
         let target = seen(&things, &truth, 0.2, &mut rng);
@@ -128,7 +129,7 @@ fn a_third_that_is_hidden_and_as_much_that_is_new_hide_no_constellation() {
         let mut rng = SplitMix64::new(1000 + seed);
         let things = scattered(320, &mut rng);
         let truth = target_at([320.0, 240.0], 2.0);
-        let hidden = |k: usize| k % 3 == 0;
+        let hidden = |k: usize| k.is_multiple_of(3);
         let mut left: Things = (0..things.len())
             .filter(|k| !hidden(*k))
             .map(|k| things[k])
@@ -243,6 +244,4 @@ fn three_things_are_too_few() {
     let mut target = seen(&things, &truth, 0.2, &mut rng);
     target = target.subset(&[0, 1, 2]);
     assert_eq!(look(&view, &target, &prior()), None);
-    let reason = NotFound::NoAgreement { matches: 0 };
-    assert!(!reason.to_string().is_empty());
 }
