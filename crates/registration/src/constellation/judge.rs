@@ -3,7 +3,7 @@
 //! A place of the view may be one of the target when it has its polarity and its size. How it looks is not asked: round cells have no
 //! orientation, and descriptors that differ for that would leave out one of the few.
 
-use super::places::{Place, Places};
+use super::places::{LEAST_PLACES, Place, Places};
 use crate::significance::ln_choose;
 use crate::{Prior, ScalePrior};
 use scopeservo_geometry::{Affine2, Correspondence, Vec2, similarity_robust};
@@ -61,8 +61,8 @@ impl<'a> Judge<'a> {
         radius: f64,
     ) -> Option<Self> {
         let scale = prior.scale?;
-        if target.all.len() < super::LEAST_PLACES
-            || view.all.len() < super::LEAST_PLACES
+        if target.all.len() < LEAST_PLACES
+            || view.all.len() < LEAST_PLACES
             || view.all.len() > MOST_OF_VIEW
         {
             return None;

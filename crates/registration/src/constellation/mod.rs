@@ -2,8 +2,8 @@
 //! never does.
 //!
 //! Where matches of descriptors say nothing, the keypoints of view and target are taken for what they are besides: places, each with a size and a
-//! polarity. Two of the target's and two of the view's, as far apart as the scale that is known asks, propose a transform ([`search`]); what says
-//! how much it is worth is how many of the others land on one ([`judge`]), against what chance puts there where things lie as densely. A second
+//! polarity. Two of the target's and two of the view's, as far apart as the scale that is known asks, propose a transform (`search`); what says
+//! how much it is worth is how many of the others land on one (`judge`), against what chance puts there where things lie as densely. A second
 //! transform that says as much makes it ambiguous, as a lattice of cells does.
 //!
 //! What is fixed to the camera keeps its size in pixels, so that it cannot agree with a scale that is none of one: this is for magnifications that differ.
@@ -17,7 +17,7 @@ use crate::prior::wrap;
 use crate::search::ANISOTROPY;
 use crate::{Correspondences, Estimate, NotFound, Options, Prior, Registration, Rival};
 use judge::{Judge, Judged};
-use places::Places;
+use places::{LEAST_PLACES, Places};
 use scopeservo_features::Features;
 use scopeservo_geometry::{
     Affine2, AffineFit, Correspondence, SharedErrors, fit_similarity_robust,
@@ -26,8 +26,6 @@ use search::proposals;
 
 /// Target pixels per pixel of the view, at least.
 pub const LEAST_RATIO: f64 = 1.5;
-/// Fewer agreeing places than these are never an answer.
-const LEAST_PLACES: usize = 4;
 /// Of the target's places in view at least this share agrees.
 const LEAST_SHARE: f64 = 0.5;
 /// Expected number of agreements as good among things that are scattered as densely, at most: log10.

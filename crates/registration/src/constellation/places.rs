@@ -3,6 +3,8 @@
 use scopeservo_features::{Features, Keypoint};
 use scopeservo_geometry::Vec2;
 
+/// Fewer agreeing places than these are never an answer.
+pub(super) const LEAST_PLACES: usize = 4;
 /// What is smaller than this in the view is not surely seen there, sigma in pixels: where scale spaces begin.
 const LEAST_SIGMA_PX: f64 = 1.35;
 /// A keypoint nearer to a stronger one than this share of their sizes is the same thing.

@@ -1,7 +1,7 @@
 //! Transforms that two places of the target and two of the view propose.
 
 use super::judge::Judge;
-use super::places::Place;
+use super::places::{LEAST_PLACES, Place};
 use crate::prior::wrap;
 use scopeservo_geometry::{Affine2, Vec2};
 
@@ -45,7 +45,7 @@ pub(super) fn proposals(judge: &Judge<'_>) -> Proposals {
                 };
                 tried += 1.0;
                 let [inside, agree] = judge.counted(&transform);
-                let enough = (SHARE * inside as f64).max(super::LEAST_PLACES as f64);
+                let enough = (SHARE * inside as f64).max(LEAST_PLACES as f64);
                 if agree as f64 >= enough {
                     all.push((agree, transform));
                 }
