@@ -53,6 +53,27 @@ pub struct Rival {
     pub significant: bool,
 }
 
+impl Rival {
+    /// What `other` is beside `first`, told at a place of the view: so many of the places asked agree with it. `None` for a mirror.
+    pub(crate) fn beside(
+        first: &Affine2,
+        other: &Affine2,
+        at: Vec2,
+        [places, asked]: [usize; 2],
+    ) -> Option<Self> {
+        let (a, b) = (first.apply(at), other.apply(at));
+        let angle = |t: &Affine2| t.linear.rotation_angle();
+        Some(Self {
+            target_from_view: *other,
+            shift_px: [b[0] - a[0], b[1] - a[1]],
+            turn_rad: wrap(angle(other)? - angle(first)?),
+            places,
+            asked,
+            significant: false,
+        })
+    }
+}
+
 /// Where others are looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Side {
@@ -348,21 +369,9 @@ fn rate(
     if (inside as f64) < RIVAL_OVERLAP * asked.len() as f64 {
         return None;
     }
-    let centre = centre([view.width, view.height]);
-    let (a, b) = (
-        first.target_from_view.apply(centre),
-        transform.apply(centre),
-    );
-    let turn =
-        transform.linear.rotation_angle()? - first.target_from_view.linear.rotation_angle()?;
-    Some(Rival {
-        target_from_view: transform,
-        shift_px: [b[0] - a[0], b[1] - a[1]],
-        turn_rad: wrap(turn),
-        places,
-        asked: inside,
-        significant: false,
-    })
+    let middle = centre([view.width, view.height]);
+    let counts = [places, inside];
+    Rival::beside(&first.target_from_view, &transform, middle, counts)
 }
 
 /// Explaining fewer places than this proves nothing: chance makes a shift that so many agree on.

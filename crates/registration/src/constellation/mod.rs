@@ -13,7 +13,6 @@ mod places;
 mod search;
 
 use crate::corners::{centre, corners};
-use crate::prior::wrap;
 use crate::search::ANISOTROPY;
 use crate::{Correspondences, Estimate, NotFound, Options, Prior, Registration, Rival};
 use judge::{Judge, Judged};
@@ -75,7 +74,17 @@ pub fn constellation(
         .iter()
         .filter(|o| elsewhere(view, &best.target_from_view, &o.target_from_view, ratio))
         .filter(|o| o.log10_nfa <= AS_GOOD * best.log10_nfa);
-    let rivals = others.filter_map(|o| rival(view, &best, o)).collect();
+    let middle = centre([view.width, view.height]);
+    let rival = |other: &Judged| {
+        let counts = [other.agreeing.len(), best.agreeing.len()];
+        let (first, second) = (&best.target_from_view, &other.target_from_view);
+        let rival = Rival::beside(first, second, middle, counts)?;
+        Some(Rival {
+            significant: true,
+            ..rival
+        })
+    };
+    let rivals = others.filter_map(rival).collect();
     let correspondences = correspondences(view, target, &best, &judge);
     Some(Constellation {
         registration: registration(
@@ -184,21 +193,5 @@ fn elsewhere(view: &Features, first: &Affine2, other: &Affine2, ratio: f64) -> b
     corners([view.width, view.height]).into_iter().any(|p| {
         let (a, b) = (first.apply(p), other.apply(p));
         f64::hypot(a[0] - b[0], a[1] - b[1]) > 12.0 * ratio
-    })
-}
-
-/// As seen from where the target's places lie in the view.
-fn rival(view: &Features, best: &Judged, other: &Judged) -> Option<Rival> {
-    let middle = centre([view.width, view.height]);
-    let (first, second) = (&best.target_from_view, &other.target_from_view);
-    let (a, b) = (first.apply(middle), second.apply(middle));
-    let turn = second.linear.rotation_angle()? - first.linear.rotation_angle()?;
-    Some(Rival {
-        target_from_view: *second,
-        shift_px: [b[0] - a[0], b[1] - a[1]],
-        turn_rad: wrap(turn),
-        places: other.agreeing.len(),
-        asked: best.agreeing.len(),
-        significant: true,
     })
 }

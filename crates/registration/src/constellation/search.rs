@@ -3,7 +3,7 @@
 use super::judge::Judge;
 use super::places::{LEAST_PLACES, Place};
 use crate::prior::wrap;
-use scopeservo_geometry::{Affine2, Vec2};
+use scopeservo_geometry::{Affine2, Similarity, Vec2};
 
 /// Pairs of the target's places that propose: of the strongest few, the farthest apart first.
 const STRONGEST: usize = 14;
@@ -93,14 +93,15 @@ fn through(
     if known.is_some_and(|r| wrap(-turn - r.angle_rad).abs() > r.tolerance_rad + slack) {
         return None;
     }
-    let (sin, cos) = turn.sin_cos();
-    let s = 1.0 / judge.scale.ratio;
-    let linear = scopeservo_geometry::Mat2([[s * cos, -s * sin], [s * sin, s * cos]]);
+    let turned = Affine2::from(Similarity {
+        scale: 1.0 / judge.scale.ratio,
+        angle_rad: turn,
+        offset: [0.0; 2],
+    });
     let middle = |p: Vec2, q: Vec2| [0, 1].map(|k| 0.5 * (p[k] + q[k]));
-    let moved = linear * middle(a.at, b.at);
-    let to = middle(v.at, w.at);
+    let (from, to) = (turned.apply(middle(a.at, b.at)), middle(v.at, w.at));
     Some(Affine2 {
-        linear,
-        offset: [to[0] - moved[0], to[1] - moved[1]],
+        offset: [to[0] - from[0], to[1] - from[1]],
+        ..turned
     })
 }

@@ -14,7 +14,6 @@ mod plane;
 mod search;
 
 use crate::corners::centre;
-use crate::prior::wrap;
 use crate::{
     Correspondences, NotFound, Options, Prior, Registration, Rival, RotationPrior, ScalePrior,
     register_correspondences,
@@ -342,15 +341,11 @@ impl Run<'_> {
     fn rival(&self, best: &Agreed, other: &Affine2, places: usize) -> Option<Rival> {
         let first = &best.registration.found()?.target_from_view;
         let middle = first.inverse()?.apply(centre(size(self.target)));
-        let (a, b) = (first.apply(middle), other.apply(middle));
-        let angle = |t: &Affine2| t.linear.rotation_angle();
+        let counts = [places, best.registration.inliers];
+        let rival = Rival::beside(first, other, middle, counts)?;
         Some(Rival {
-            target_from_view: *other,
-            shift_px: [b[0] - a[0], b[1] - a[1]],
-            turn_rad: wrap(angle(other)? - angle(first)?),
-            places,
-            asked: best.registration.inliers,
             significant: true,
+            ..rival
         })
     }
 
