@@ -117,6 +117,7 @@ pub(crate) enum Code {
     CheckFailed,
     Immersion,
     NotKept,
+    ObjectivesDisagree,
     ForeignTarget,
     Interrupted,
     Fault,
@@ -150,6 +151,7 @@ impl Code {
             | Self::CheckFailed
             | Self::Immersion => 3,
             Self::NotKept
+            | Self::ObjectivesDisagree
             | Self::ForeignTarget
             | Self::Blurred
             | Self::Interrupted

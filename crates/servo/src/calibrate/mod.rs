@@ -7,6 +7,7 @@ mod agree;
 mod chain;
 pub mod joint;
 mod options;
+mod together;
 pub(crate) mod told;
 mod two_step;
 
@@ -19,6 +20,7 @@ use two_step::TwoStep;
 
 pub use agree::agree;
 pub use options::{CalibrateOptions, CalibrationMethod};
+pub use together::{Alone, CalibrationSet, NotOne, Parcentric, SET_SCHEMA, one_microscope};
 pub use told::{ChainPair, ChainPlace, ChainView};
 #[cfg(test)]
 pub(crate) use two_step::DIRECTIONS;
@@ -48,6 +50,14 @@ impl Calibrate {
             }
         };
         Self { method }
+    }
+
+    /// What it saw, once it has answered with this calibration, for [`one_microscope`]; nothing of two steps.
+    pub fn alone(&self, calibration: &Calibration) -> Option<Alone> {
+        match &self.method {
+            Method::Joint(chain) => chain.alone(calibration.clone()),
+            Method::TwoStep(_) => None,
+        }
     }
 }
 

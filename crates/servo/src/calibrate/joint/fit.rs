@@ -19,6 +19,10 @@ pub struct JointFit {
     /// Covariance of the instrument with the poses marginalised: backlash x, y, rotation; then of each optics the map row by row and the
     /// centre. n x n, row by row, in SI units; zero where there is no such axis.
     pub covariance: Vec<f64>,
+    /// Covariance of the pose of the first view, x, y (m) and rotation (rad), with the n numbers of the instrument, then with itself:
+    /// 3 x (n + 3), row by row.
+    #[serde(default)]
+    pub first_pose: Vec<f64>,
     /// Weighted sum of squares; chi-square with `freedom` degrees of freedom.
     pub chi_sq: f64,
     /// Three for each pair that counts, less what the measurements determine of the instrument.
@@ -375,6 +379,10 @@ impl Solved {
         let covariance: Vec<f64> = (first..n)
             .flat_map(|i| self.covariance[i * n + first..(i + 1) * n].to_vec())
             .collect();
+        let first_pose = (0..3)
+            .flat_map(|i| (first..n).chain(0..3).map(move |j| i * n + j))
+            .map(|cell| self.covariance[cell])
+            .collect();
         let left_out: Vec<usize> = (0..problem.pairs.len())
             .filter(|k| problem.weights[*k] == 0.0)
             .collect();
@@ -384,6 +392,7 @@ impl Solved {
             instrument: self.at.instrument,
             poses: self.at.poses,
             covariance,
+            first_pose,
             chi_sq: self.cost,
             freedom,
             left_out,
