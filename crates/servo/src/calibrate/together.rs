@@ -237,7 +237,10 @@ pub fn one_microscope(
     };
     let named = |o: usize| all[o].calibration.objective.clone();
     Some(match one_instrument(&shared, &singles, &links)? {
-        Ok(fit) => Ok(CalibrationSet::of(all, &fit, links.len())),
+        Ok(fit) => {
+            let linked = links.len() - usize::from(fit.left_out.is_some());
+            Ok(CalibrationSet::of(all, &fit, linked))
+        }
         Err(Apart {
             odd,
             between,

@@ -79,19 +79,6 @@ impl Link {
         ];
         Some(Off { off, by })
     }
-
-    /// Its covariance, where between the two the specimen may have drifted by `drift_m` on the stage, each coordinate.
-    pub(super) fn with_drift(&self, fixed: &Optics, drift_m: f64) -> Option<Vec<f64>> {
-        let pixel_from_stage = fixed.stage_from_pixel.inverse()?;
-        let drift_px = pixel_from_stage * pixel_from_stage.transpose() * (drift_m * drift_m);
-        let mut all: Vec<f64> = self.covariance.as_flattened().to_vec();
-        for (r, row) in drift_px.0.iter().enumerate() {
-            for (c, cell) in row.iter().enumerate() {
-                all[4 * r + c] += cell;
-            }
-        }
-        Some(all)
-    }
 }
 
 /// What of a map tells the camera's angle: beside a rotation `about`, and its derivative by the map's numbers.

@@ -7,6 +7,7 @@
 //! Scales, shapes of pixels and how far arrivals scatter stay each objective's own.
 
 use super::link::{Link, STAND, Stand, angle_beside, apart_m};
+use super::model::OPTICS;
 use super::single::{Apart, Difference, Differing, SINGLE, SetFit, Shared, Single};
 use super::whole::Whole;
 
@@ -69,7 +70,7 @@ impl Whole<'_> {
             pose: s.first,
         });
         let seen = link.off(self.shared.kinematics, &stands)?;
-        let own = self.scatters(link)?;
+        let since_s = [link.fixed, link.found].map(|o| self.since_s(o));
         let variance = |r: usize| -> f64 {
             let of = |n: usize| -> f64 {
                 let cell = |i: usize, j: usize| {
@@ -79,7 +80,12 @@ impl Whole<'_> {
                 };
                 (0..STAND * STAND).map(|k| cell(k / STAND, k % STAND)).sum()
             };
-            own[5 * r] + of(0) + of(1)
+            // What it may have drifted between the two.
+            let drifts = [0, 1].map(|k| {
+                let by = |n: usize| seen.by[n][OPTICS + k][r] * since_s[n];
+                (self.shared.drift_m_per_s * (by(0) + by(1))).powi(2)
+            });
+            link.covariance[r][r] + of(0) + of(1) + drifts[0] + drifts[1]
         };
         let px_m = stands[0].optics.stage_from_pixel.det().abs().sqrt();
         let mut all = vec![
@@ -105,7 +111,25 @@ impl Whole<'_> {
     }
 }
 
-/// One instrument of what each objective says by itself, where that agrees. `None` where there are fewer than two, or a covariance is none.
+/// The same without one link that all others contradict. A wrong image of an objective is told from a wrong objective where both that it shows
+/// have another.
+fn without_a_link(shared: &Shared, singles: &[Single], links: &[Link]) -> Option<SetFit> {
+    (0..links.len()).find_map(|wrong| {
+        let mut left = links.to_vec();
+        let link = left.remove(wrong);
+        let has_another = |o: usize| left.iter().any(|l| l.fixed == o || l.found == o);
+        if !has_another(link.fixed) || !has_another(link.found) {
+            return None;
+        }
+        let fit = Whole::new(shared, singles, &left)?.solve()?;
+        fit.agrees().then_some(SetFit {
+            left_out: Some(wrong),
+            ..fit
+        })
+    })
+}
+
+/// One instrument of what each objective says by itself, where that agrees, without a link that all else contradicts. `None` where there are fewer than two, or a covariance is none.
 ///
 /// # Panics
 /// Where a link names an objective that is not there.
@@ -120,6 +144,9 @@ pub fn one_instrument(
     let whole = Whole::new(shared, singles, links)?;
     let fit = whole.solve()?;
     if fit.agrees() {
+        return Some(Ok(fit));
+    }
+    if let Some(fit) = without_a_link(shared, singles, links) {
         return Some(Ok(fit));
     }
     let without = |odd: usize| {

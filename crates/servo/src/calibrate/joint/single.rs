@@ -51,6 +51,8 @@ pub struct SetFit {
     pub chi_sq: f64,
     /// What is known more often than it is asked for.
     pub freedom: usize,
+    /// The link that all else contradicts, which counts for nothing.
+    pub left_out: Option<usize>,
 }
 
 /// What objectives of one microscope may contradict each other in.

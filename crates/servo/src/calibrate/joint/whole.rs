@@ -1,6 +1,6 @@
 //! The sum of squares over what all objectives of a microscope say, and its minimum.
 
-use super::link::{Link, STAND, Stand, angle_beside};
+use super::link::{Link, Off, STAND, Seen, Stand, angle_beside};
 use super::model::{OPTICS, Optics};
 use super::single::{SINGLE, SetFit, Shared, Single};
 use crate::kinematics::PlanarPose;
@@ -11,8 +11,8 @@ const ROUNDS: usize = 8;
 /// A step of this share of a standard deviation is none.
 const SETTLED: f64 = 1e-6;
 
-/// Where the unknowns stand: the backlash, of each objective the map, the centre and the pose of its first view, the camera's angle, and the
-/// middle of all centres.
+/// Where the unknowns stand: the backlash, of each objective the map, the centre and the pose of its first view, the camera's angle, the
+/// middle of all centres, and how fast the stage drifts from view to view.
 #[derive(Clone, Copy)]
 struct Order {
     count: usize,
@@ -25,8 +25,11 @@ impl Order {
     fn angle(self) -> usize {
         self.stand(self.count)
     }
-    fn all(self) -> usize {
+    fn drift(self) -> usize {
         self.angle() + 3
+    }
+    fn all(self) -> usize {
+        self.drift() + 2
     }
     /// Where the numbers of a single stand.
     fn single(self, objective: usize) -> Vec<usize> {
@@ -156,6 +159,7 @@ impl<'a> Whole<'a> {
             }
         }
         held[self.order.angle()..].fill(false);
+        held[self.order.drift()..].fill(self.shared.drift_m_per_s <= 0.0);
         held
     }
 
@@ -173,11 +177,31 @@ impl<'a> Whole<'a> {
         }
     }
 
-    /// A link's covariance.
-    pub(super) fn scatters(&self, link: &Link) -> Option<Vec<f64>> {
-        let [a, b] = [link.fixed, link.found].map(|o| &self.singles[o]);
-        let drift_m = self.shared.drift_m_per_s * (a.time_s - b.time_s);
-        link.with_drift(&a.optics, drift_m)
+    /// How long after the first objective's first view that of another was taken, s.
+    pub(super) fn since_s(&self, objective: usize) -> f64 {
+        self.singles[objective].time_s - self.singles[0].time_s
+    }
+
+    /// What a link shows: poses with what the stage has drifted since the first one.
+    fn linked(&self, sums: &mut Sums, at: &[f64], link: &Link) -> Option<()> {
+        let (order, both) = (self.order, [link.fixed, link.found]);
+        let stands = both.map(|o| {
+            let mut stand = self.stand(at, o);
+            for k in 0..2 {
+                stand.pose.x_m[k] += at[order.drift() + k] * self.since_s(o);
+            }
+            stand
+        });
+        let Off { off, by } = link.off(self.shared.kinematics, &stands)?;
+        let mut columns: Vec<(usize, Seen)> = Vec::new();
+        for (o, by) in both.into_iter().zip(by) {
+            let drifts = [0, 1].map(|k| by[OPTICS + k].map(|v| v * self.since_s(o)));
+            columns.extend((order.stand(o)..).zip(by));
+            columns.extend((order.drift()..).zip(drifts));
+        }
+        let certainty = certainty(link.covariance.as_flattened(), 4)?;
+        sums.add(&columns, &off, &certainty);
+        Some(())
     }
 
     fn sums(&self, at: &[f64]) -> Option<Sums> {
@@ -204,13 +228,12 @@ impl<'a> Whole<'a> {
             sums.gradient[k] -= again * at[k];
         }
         for link in self.links {
-            let both = [link.fixed, link.found];
-            let off = link.off(self.shared.kinematics, &both.map(|o| self.stand(at, o)))?;
-            let mut by = Vec::new();
-            for (o, columns) in both.into_iter().zip(off.by) {
-                by.extend((order.stand(o)..).zip(columns));
-            }
-            sums.add(&by, &off.off, &certainty(&self.scatters(link)?, 4)?);
+            self.linked(&mut sums, at, link)?;
+        }
+        let sigma = self.shared.drift_m_per_s;
+        let still = if sigma > 0.0 { sigma.powi(-2) } else { 0.0 };
+        for (k, drift) in at.iter().enumerate().skip(order.drift()) {
+            sums.add(&[(k, [1.0])], &[*drift], &[still]);
         }
         for (k, held) in self.held().into_iter().enumerate() {
             if held {
@@ -266,7 +289,8 @@ impl<'a> Whole<'a> {
             true => 0.0,
             false => covariance[n * i + j],
         };
-        let asked = held.iter().filter(|h| !**h).count();
+        // That it does not drift is known as well.
+        let asked = held[..order.drift()].iter().filter(|h| !**h).count();
         let of_single = |s: &Single| (0..SINGLE).filter(|k| s.variance(*k) > 0.0).count();
         let known: usize = self.singles.iter().map(|s| of_single(s) + 3).sum();
         Some(SetFit {
@@ -280,6 +304,7 @@ impl<'a> Whole<'a> {
                 .collect(),
             chi_sq: sums.chi_sq,
             freedom: (known + 4 * self.links.len()).saturating_sub(asked),
+            left_out: None,
         })
     }
 }
