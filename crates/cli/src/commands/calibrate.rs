@@ -5,7 +5,7 @@ use super::library_of;
 use super::report::{failure, work_page};
 use crate::answer::Answer;
 use crate::args::CalibrateArgs;
-use crate::error::CliError;
+use crate::error::{CliError, Code};
 use crate::journal::{Asked, Made};
 use crate::open_instrument::OpenInstrument;
 use crate::output::calibration as calibration_json;
