@@ -4,6 +4,7 @@
 //! procedure); [`CalibrationMethod::TwoStep`] is the paper's.
 
 mod agree;
+mod alone;
 mod chain;
 pub mod joint;
 mod options;
@@ -19,8 +20,9 @@ use serde::{Deserialize, Serialize};
 use two_step::TwoStep;
 
 pub use agree::agree;
+pub use alone::Alone;
 pub use options::{CalibrateOptions, CalibrationMethod};
-pub use together::{Alone, CalibrationSet, NotOne, Parcentric, SET_SCHEMA, one_microscope};
+pub use together::{CalibrationSet, NotOne, Parcentric, SET_SCHEMA, one_microscope};
 pub use told::{ChainPair, ChainPlace, ChainView};
 #[cfg(test)]
 pub(crate) use two_step::DIRECTIONS;

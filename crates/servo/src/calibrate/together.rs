@@ -1,10 +1,10 @@
 //! Objectives that were calibrated one after the other, as one instrument with one covariance.
 
+use super::alone::Alone;
 use super::chain::{BACKLASH, DRIFT_M_PER_S, link_of};
 use super::joint::{Apart, Difference, Differing, SetFit, Shared, Single, one_instrument};
 use crate::vision::VisionOptions;
 use crate::{Backlash, Calibration, Known};
-use scopeservo_features::Features;
 use scopeservo_geometry::Mat2;
 use scopeservo_registration::{
     Correspondences, Prior, RotationPrior, ScalePrior, register_correspondences,
@@ -23,25 +23,6 @@ const PARCENTRIC_M: f64 = 200e-6;
 /// calibration that is off must be found, to be named.
 const SCALE_SLACK: f64 = 0.15;
 const ANGLE_SLACK_RAD: f64 = 0.05;
-
-/// What a calibration saw, for [`one_microscope`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Alone {
-    calibration: Calibration,
-    single: Single,
-    /// Of its first view.
-    features: Features,
-}
-
-impl Alone {
-    pub(super) fn new(calibration: Calibration, single: Single, features: Features) -> Self {
-        Self {
-            calibration,
-            single,
-            features,
-        }
-    }
-}
 
 /// Where one objective looks beside another.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -136,18 +136,18 @@ fn rounds(backlash: [f64; 3], scatter: [f64; 3], seeds: std::ops::Range<u64>) ->
                 all.one_sq += off * off;
                 all.alone_sq += (by_b - by_a - truly).powi(2);
                 // Never worse, by what is stated.
-                let alone = [a, b].map(|o| bench.singles[o].covariance[13 * (7 + axis)]);
+                let alone = [a, b].map(|o| bench.singles[o].covariance[15 * (7 + axis)]);
                 assert!(variance <= alone[0] + alone[1]);
             }
         }
         for (o, single) in bench.singles.iter().enumerate() {
             for k in 0..6 {
                 let off = numbers_of(single)[k] - bench.truth[3 + 6 * o + k];
-                let within = 1.96 * single.covariance[13 * (3 + k)].sqrt();
+                let within = 1.96 * single.covariance[15 * (3 + k)].sqrt();
                 all.alone[k] += usize::from(off.abs() < within);
                 let (one, alone) = (
                     cell(3 + 6 * o + k, 3 + 6 * o + k),
-                    single.covariance[13 * (3 + k)],
+                    single.covariance[15 * (3 + k)],
                 );
                 assert!(
                     one <= alone * (1.0 + 1e-6),
@@ -156,7 +156,7 @@ fn rounds(backlash: [f64; 3], scatter: [f64; 3], seeds: std::ops::Range<u64>) ->
             }
         }
         for k in 0..3 {
-            assert!(cell(k, k) <= 0.6 * bench.singles[0].covariance[13 * k]);
+            assert!(cell(k, k) <= 0.6 * bench.singles[0].covariance[15 * k]);
         }
     }
     all
@@ -333,7 +333,7 @@ fn without_an_image_of_each_other_a_scale_is_nobodys_business_and_a_centre_far_o
     let [i, j] = [centre(0)[0], centre(2)[0]];
     let apart = alone.covariance[(n + 1) * i] + alone.covariance[(n + 1) * j]
         - 2.0 * alone.covariance[n * i + j];
-    let singles = good.singles[0].covariance[13 * 7] + good.singles[2].covariance[13 * 7];
+    let singles = good.singles[0].covariance[15 * 7] + good.singles[2].covariance[15 * 7];
     assert!(apart > 0.9 * singles, "{apart:e} {singles:e}");
 }
 

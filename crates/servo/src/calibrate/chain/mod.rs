@@ -7,8 +7,8 @@ mod sense;
 mod told;
 mod verdict;
 
+use super::alone::Alone;
 use super::joint::{JointFit, Known, Next, Pair, Priors, Role, Taken, View, fit, next_view};
-use super::together::Alone;
 use crate::event::tell;
 use crate::hand_eye::pose_sigma;
 use crate::kinematics::PlanarPose;
@@ -136,7 +136,11 @@ impl Chain {
         let all = self.first.as_ref()?;
         let free = (0..all.len()).filter(|i| !self.fixed.has(&all.keypoints[*i]));
         let features = all.subset(&free.collect::<Vec<usize>>());
-        Some(Alone::new(calibration, single, features))
+        Some(Alone {
+            calibration,
+            single,
+            features,
+        })
     }
 
     fn known(&self, scope: &Instrument) -> Option<Known<'_>> {

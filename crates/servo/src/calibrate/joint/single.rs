@@ -3,6 +3,7 @@
 use super::fit::JointFit;
 use super::model::{OPTICS, Optics};
 use crate::kinematics::PlanarPose;
+use scopeservo_geometry::Vec2;
 use scopeservo_scope::Kinematics;
 use serde::{Deserialize, Serialize};
 
@@ -17,8 +18,10 @@ pub struct Single {
     pub first: PlanarPose,
     /// When that was taken, s.
     pub time_s: f64,
-    /// Covariance of the backlash, the map row by row, the centre and the pose of the first view, 12 x 12, row by row, in SI units; zero where
-    /// there is no such axis.
+    /// How fast the stage drifts, x and y, m/s.
+    pub drift: Vec2,
+    /// Covariance of the backlash, the map row by row, the centre, the pose of the first view and the drift, 14 x 14, row by row, in SI units;
+    /// zero where there is no such axis.
     pub covariance: Vec<f64>,
 }
 
@@ -33,7 +36,7 @@ pub struct Shared {
     pub angle_rad: f64,
     /// Where one objective looks beside the middle of all, m per coordinate.
     pub parcentric_m: f64,
-    /// How fast the stage drifts, x and y, m/s.
+    /// How fast the stage drifts about not at all, as each single fit had it, m/s.
     pub drift_m_per_s: f64,
 }
 
@@ -91,8 +94,9 @@ pub struct Apart {
     pub difference: Difference,
 }
 
-/// Numbers of a single: backlash, map, centre, pose of the first view.
-pub(super) const SINGLE: usize = 3 + OPTICS + 3;
+/// Numbers of a single: backlash, map, centre, pose of the first view, drift.
+pub(super) const SINGLE: usize = 3 + OPTICS + BESIDES;
+const BESIDES: usize = 3 + 2;
 /// Of a normal distribution one in 20 000 is above: what arrivals scatter is estimated, so that a little more than one set in so many fails.
 const SURE: f64 = 3.891;
 
@@ -105,8 +109,8 @@ impl JointFit {
         let n = 3 + OPTICS;
         let cell = |i: usize, j: usize| match (i < n, j < n) {
             (true, true) => self.covariance.get(n * i + j),
-            (false, _) => self.first_pose.get((n + 3) * (i - n) + j),
-            (true, false) => self.first_pose.get((n + 3) * (j - n) + i),
+            (false, _) => self.besides.get(SINGLE * (i - n) + j),
+            (true, false) => self.besides.get(SINGLE * (j - n) + i),
         };
         let all = (0..SINGLE * SINGLE).map(|k| cell(k / SINGLE, k % SINGLE).copied());
         Some(Single {
@@ -114,6 +118,7 @@ impl JointFit {
             optics: *optics,
             first: *self.poses.first()?,
             time_s,
+            drift: self.drift,
             covariance: all.collect::<Option<_>>()?,
         })
     }

@@ -34,7 +34,11 @@ impl Order {
     /// Where the numbers of a single stand.
     fn single(self, objective: usize) -> Vec<usize> {
         let own = self.stand(objective);
-        (0..3).chain(own..own + STAND).collect()
+        let drift = self.drift();
+        (0..3)
+            .chain(own..own + STAND)
+            .chain(drift..drift + 2)
+            .collect()
     }
 }
 
@@ -120,7 +124,9 @@ impl<'a> Whole<'a> {
         let [[a, b], [c, d]] = single.optics.stage_from_pixel.0;
         let [px, py] = single.first.x_m;
         let [bx, by, bt] = single.backlash;
-        [bx, by, bt, a, b, c, d, x, y, px, py, single.first.theta_rad]
+        let [dx, dy] = single.drift;
+        let turn = single.first.theta_rad;
+        [bx, by, bt, a, b, c, d, x, y, px, py, turn, dx, dy]
     }
 
     /// Where the search begins: at what each says by itself.
@@ -131,7 +137,7 @@ impl<'a> Whole<'a> {
         for (o, single) in self.singles.iter().enumerate() {
             let numbers = Self::numbers(single);
             for (k, place) in self.order.single(o).into_iter().enumerate() {
-                match place < 3 {
+                match place < 3 || place >= self.order.drift() {
                     true => at[place] += numbers[k] / count,
                     false => at[place] = numbers[k],
                 }
@@ -158,8 +164,7 @@ impl<'a> Whole<'a> {
                 (held[centre], held[centre + 1]) = (false, false);
             }
         }
-        held[self.order.angle()..].fill(false);
-        held[self.order.drift()..].fill(self.shared.drift_m_per_s <= 0.0);
+        held[self.order.angle()..self.order.drift()].fill(false);
         held
     }
 
@@ -221,19 +226,16 @@ impl<'a> Whole<'a> {
             sums.add(&by, &off, &certainty(&single.covariance, SINGLE)?);
             self.of_camera(&mut sums, at, o);
         }
-        // Each single fit was told that there is no play; once is enough.
-        for (k, sigma) in self.shared.backlash.into_iter().enumerate() {
+        // Each single fit was told that there is neither play nor drift; once is enough.
+        let drift = [self.shared.drift_m_per_s; 2];
+        let told = (0..3).zip(self.shared.backlash);
+        for (k, sigma) in told.chain((order.drift()..).zip(drift)) {
             let again = (self.singles.len() - 1) as f64 / (sigma * sigma);
             sums.information[(n + 1) * k] -= again;
             sums.gradient[k] -= again * at[k];
         }
         for link in self.links {
             self.linked(&mut sums, at, link)?;
-        }
-        let sigma = self.shared.drift_m_per_s;
-        let still = if sigma > 0.0 { sigma.powi(-2) } else { 0.0 };
-        for (k, drift) in at.iter().enumerate().skip(order.drift()) {
-            sums.add(&[(k, [1.0])], &[*drift], &[still]);
         }
         for (k, held) in self.held().into_iter().enumerate() {
             if held {
@@ -289,9 +291,9 @@ impl<'a> Whole<'a> {
             true => 0.0,
             false => covariance[n * i + j],
         };
-        // That it does not drift is known as well.
+        // What is known of a drift is hardly more than that there is none.
         let asked = held[..order.drift()].iter().filter(|h| !**h).count();
-        let of_single = |s: &Single| (0..SINGLE).filter(|k| s.variance(*k) > 0.0).count();
+        let of_single = |s: &Single| (0..SINGLE - 2).filter(|k| s.variance(*k) > 0.0).count();
         let known: usize = self.singles.iter().map(|s| of_single(s) + 3).sum();
         Some(SetFit {
             backlash: [at[0], at[1], at[2]],
