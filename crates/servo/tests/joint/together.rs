@@ -156,7 +156,8 @@ fn rounds(backlash: [f64; 3], scatter: [f64; 3], seeds: std::ops::Range<u64>) ->
             }
         }
         for k in 0..3 {
-            assert!(cell(k, k) <= 0.6 * bench.singles[0].covariance[15 * k]);
+            let best = bench.singles.iter().map(|s| s.covariance[15 * k]);
+            assert!(cell(k, k) <= best.fold(f64::MAX, f64::min) * (1.0 + 1e-6));
         }
     }
     all
@@ -214,13 +215,15 @@ fn objectives_together_hold_the_truth_and_are_never_known_worse_than_alone() {
 #[expect(clippy::print_stdout, reason = "the figures of docs/measured.md")]
 #[ignore = "needs some minutes: 250 rounds each scatter by 1.4 %"]
 fn objectives_together_hold_the_truth_in_92_to_98_of_100_rounds_whatever_the_play() {
-    for (backlash, scatter) in [
+    let stages = [
         ([0.0; 3], HEXAPOD),
         ([5e-6, 5e-6, 2e-5], HEXAPOD),
         ([20e-6, 20e-6, 8e-5], HEXAPOD),
         ([20e-6, 20e-6, 8e-5], CHEAP),
-    ] {
-        let all = rounds(backlash, scatter, 0..250);
+    ];
+    // Each with noise of its own.
+    for ((backlash, scatter), first) in stages.into_iter().zip([1000, 2000, 3000, 4000]) {
+        let all = rounds(backlash, scatter, first..first + 250);
         println!("{backlash:?} {scatter:?}: {}", all.told());
         let pooled = all.pooled();
         assert!(
