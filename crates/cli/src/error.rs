@@ -118,6 +118,7 @@ pub(crate) enum Code {
     LevelFailed,
     Immersion,
     NotKept,
+    ObjectivesDisagree,
     ForeignTarget,
     Interrupted,
     Fault,
@@ -152,6 +153,7 @@ impl Code {
             | Self::LevelFailed
             | Self::Immersion => 3,
             Self::NotKept
+            | Self::ObjectivesDisagree
             | Self::ForeignTarget
             | Self::Blurred
             | Self::Interrupted

@@ -1,8 +1,8 @@
 //! The journal of the job under way, in the library; and what is told of one that was killed.
 
 use scopeservo_library::{
-    Calibrations as _, Cameras as _, Folder, Journal as _, JournalHead, JournalStep, Journalled,
-    LibraryError, Nosepieces as _, utc,
+    CalibrationSets as _, Calibrations as _, Cameras as _, Folder, Journal as _, JournalHead,
+    JournalStep, Journalled, LibraryError, Nosepieces as _, utc,
 };
 use scopeservo_scope::{Axis, Instrument, Length, StagePose};
 use scopeservo_station::{Ended, JobInfo, Journal, JournalError, Kept, MadeCalibration};
@@ -168,6 +168,10 @@ impl Journal for FileJournal {
                 let calibration = (**made).clone();
                 self.at_work().made.push(Made { calibration, file });
                 lost.map_or(Ok(()), |error| Err(failed(error)))
+            }
+            Kept::Set(set) => {
+                let kept = self.library.keep_calibration_set(&self.instrument, set);
+                kept.map(drop).map_err(failed)
             }
             Kept::Switching(report) => {
                 let kept = self.library.keep_switching(&self.instrument, report);

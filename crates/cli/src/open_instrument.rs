@@ -10,10 +10,11 @@ use crate::error::{CliError, Code};
 use crate::journal::{self, Asked, FileJournal, Made};
 use crate::progress::Watcher;
 use scopeservo_library::{
-    Cameras as _, Folder, Journal as _, Journalled, Nosepieces as _, RunHead, RunLog, Runs as _,
+    CalibrationSets as _, Cameras as _, Folder, Journal as _, Journalled, Nosepieces as _, RunHead,
+    RunLog, Runs as _,
 };
 use scopeservo_scope::{CancelToken, GateEvent, Instrument, Length, ObjectiveId};
-use scopeservo_servo::{ErrorKind, SwitchingReport};
+use scopeservo_servo::{ErrorKind, Parcentric, SwitchingReport};
 use scopeservo_setup::{Config, Consent, Held, Opened, connect, home_if_needed};
 use scopeservo_station::{News, StationEvent, UseCase};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -27,6 +28,8 @@ pub(crate) struct OpenInstrument {
     pub(crate) console: Console,
     /// What is known of where its objectives look and focus beside each other.
     pub(crate) switchings: Vec<SwitchingReport>,
+    /// The same by calibrations that were made together.
+    pub(crate) parcentric: Vec<Parcentric>,
     journal: Arc<FileJournal>,
     /// Let go last.
     _held: Held,
@@ -131,6 +134,8 @@ impl OpenInstrument {
         let seen = library.shadows(&config.name, [info.width, info.height]);
         scope.set_flat_field(answer.or_warn(seen).flatten().map(Arc::new));
         let switchings = known_switchings(&config, &library, &scope, answer);
+        let set = answer.or_warn(library.calibration_set(&config.name));
+        let parcentric = set.flatten().map_or(Vec::new(), |kept| kept.set.parcentric);
         let journal = Arc::new(FileJournal::new(&library, &config.name, &scope));
         let goes = journal.clone();
         let console = Console::new(&scope, journal.clone(), Late::LeftOut, move |record| {
@@ -145,6 +150,7 @@ impl OpenInstrument {
             drivers,
             console,
             switchings,
+            parcentric,
             journal,
             _held: held,
         };

@@ -15,6 +15,26 @@ fn from_init_to_arrived() {
     let doctor = ok(here, &["doctor", "--json"]);
     assert_eq!(doctor["ok"], true, "{doctor}");
     let made = ok(here, &["calibrate", "--json"]);
+    // One instrument, of which each objective was seen in the view of the others.
+    let set = &made["set"];
+    assert_eq!(set["agrees"], true, "{made}");
+    assert_eq!((&set["linked"], &set["freedom"]), (&3.into(), &24.into()));
+    let offsets = set["parcentric"].as_array().unwrap();
+    assert_eq!(offsets.len(), 3);
+    for offset in offsets
+        .iter()
+        .flat_map(|p| p["offset_um"].as_array().unwrap())
+    {
+        // The simulated nosepiece's are at most twice 15 um, and twice 2 um.
+        let number = |key: &str| offset[key].as_f64().unwrap();
+        assert!(
+            number("value").abs() < 34.0 && number("sigma") < 0.6,
+            "{set}"
+        );
+    }
+    let sets = here.join("scopeservo-data/calibration-sets");
+    let sets = std::fs::read_dir(sets).unwrap().next().unwrap().unwrap();
+    assert_eq!(std::fs::read_dir(sets.path()).unwrap().count(), 1);
     let made = made["calibrations"].as_array().unwrap();
     assert_eq!(made.len(), 3);
     for (calibration, um_per_px) in made.iter().zip([2.22, 1.06, 0.508]) {

@@ -15,6 +15,7 @@ mod journal;
 mod names;
 mod nosepieces;
 mod runs;
+mod sets;
 mod target_file;
 mod targets;
 
@@ -26,16 +27,18 @@ pub use journal::{Journal, JournalHead, JournalStep, Journalled};
 pub use names::utc;
 pub use nosepieces::{KeptSwitching, Nosepieces};
 pub use runs::{RunHead, RunLog, Runs};
+pub use sets::{CalibrationSets, KeptSet};
 pub use target_file::{KeptTarget, png_of};
 pub use targets::Targets;
 
 /// Everything that is kept of an instrument.
 pub trait Library:
-    Calibrations + Cameras + Nosepieces + Targets + Runs + Journal + Send + Sync
+    Calibrations + CalibrationSets + Cameras + Nosepieces + Targets + Runs + Journal + Send + Sync
 {
 }
 
-impl<T: Calibrations + Cameras + Nosepieces + Targets + Runs + Journal + Send + Sync> Library
-    for T
+impl<
+    T: Calibrations + CalibrationSets + Cameras + Nosepieces + Targets + Runs + Journal + Send + Sync,
+> Library for T
 {
 }

@@ -52,7 +52,8 @@ mod words;
 pub use attempt::Attempt;
 pub use bring::Bring;
 pub use calibrate::{
-    Calibrate, CalibrateOptions, CalibrationMethod, ChainPair, ChainPlace, ChainView, agree, joint,
+    Alone, Calibrate, CalibrateOptions, CalibrationMethod, CalibrationSet, ChainPair, ChainPlace,
+    ChainView, NotOne, Parcentric, SET_SCHEMA, agree, joint, one_microscope,
 };
 pub use calibration::{Backlash, CALIBRATION_SCHEMA, Calibration, EXAMPLE_MOVE, IntrinsicReading};
 pub use code::{ErrorCode, ErrorKind, Remedy};

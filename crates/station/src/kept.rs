@@ -1,7 +1,7 @@
 //! What jobs make that is worth keeping.
 
 use scopeservo_scope::FlatField;
-use scopeservo_servo::{Calibration, SwitchingReport};
+use scopeservo_servo::{Calibration, CalibrationSet, SwitchingReport};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -21,6 +21,8 @@ pub struct MadeCalibration {
 pub enum Kept {
     /// A calibration.
     Calibration(Box<MadeCalibration>),
+    /// Calibrations that are one instrument, each of which is kept by itself as well.
+    Set(Box<CalibrationSet>),
     /// What repeated switching between two objectives has shown.
     Switching(Box<SwitchingReport>),
     /// What lies on the camera, as it was seen last.

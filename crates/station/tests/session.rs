@@ -71,6 +71,7 @@ fn one_session_calibrates_stops_repositions_stops_and_repositions_to_the_end_whi
         foreign_um_per_px: None,
         known,
         switchings: Vec::new(),
+        parcentric: Vec::new(),
     };
     let run = |known| RepositionJob::new(saved.target.clone(), input(known));
     hand.wait_at(|job, _, state| job.kind == "reposition" && state.contains("{\"servo\":{"));

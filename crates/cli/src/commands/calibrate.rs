@@ -5,7 +5,7 @@ use super::library_of;
 use super::report::{failure, work_page};
 use crate::answer::Answer;
 use crate::args::CalibrateArgs;
-use crate::error::CliError;
+use crate::error::{CliError, Code};
 use crate::journal::{Asked, Made};
 use crate::open_instrument::OpenInstrument;
 use crate::output::calibration as calibration_json;
@@ -14,8 +14,10 @@ use crate::views::{keep_report, try_out};
 use scopeservo_library::Calibrations as _;
 use scopeservo_report::{Work, WorkEnd};
 use scopeservo_scope::{Objective, ObjectiveId};
-use scopeservo_servo::{CalibrateOptions, Calibration, EXAMPLE_MOVE, Known, SwitchingReport};
-use scopeservo_station::jobs::{CalibrateInput, CalibrateJob, CalibrateOutput};
+use scopeservo_servo::{
+    CalibrateOptions, Calibration, EXAMPLE_MOVE, Known, Parcentric, SwitchingReport,
+};
+use scopeservo_station::jobs::{CalibrateInput, CalibrateJob, CalibrateOutput, Whole};
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
@@ -75,10 +77,11 @@ pub(super) fn run(
     let ran = opened.run(job, asked, &mut watcher, answer)?;
     match &ran.output {
         Ok(output) => {
-            show_made(answer, &all_made(opened, output, &ran.made));
+            let made = all_made(opened, output, &ran.made);
+            show_made(answer, &made, output.together.as_ref());
             show_switching(answer, &output.switching);
         }
-        Err(_) => show_made(answer, &ran.made),
+        Err(_) => show_made(answer, &ran.made, None),
     }
     let end = WorkEnd {
         work: Work::Calibration,
@@ -119,14 +122,14 @@ fn all_made(opened: &OpenInstrument, output: &CalibrateOutput, now: &[Made]) -> 
 }
 
 /// What was measured, and where it is kept.
-fn show_made(answer: &Answer, made: &[Made]) {
+fn show_made(answer: &Answer, made: &[Made], together: Option<&Whole>) {
     let first = made.first().map(|m| m.calibration.calibration.clone());
     for Made { calibration, file } in made {
         let made = calibration;
         show_calibration(answer, &made.calibration, made.residual_px);
         let parcentric = first
             .as_ref()
-            .and_then(|first| parcentric_um(first, &made.calibration));
+            .and_then(|first| parcentric_um(first, &made.calibration, together));
         if let (Some(first), Some(([x, y], sigma))) = (&first, parcentric) {
             let from = &first.objective;
             say!(
@@ -146,6 +149,40 @@ fn show_made(answer: &Answer, made: &[Made]) {
             "calibration": calibration_json(&made.calibration),
         });
         answer.push("calibrations", entry);
+    }
+    if let Some(together) = together {
+        show_together(answer, together);
+    }
+}
+
+/// Whether the objectives are one instrument.
+fn show_together(answer: &Answer, together: &Whole) {
+    match together {
+        Whole::One(set) => {
+            let (chi_sq, freedom) = (set.chi_sq, set.freedom);
+            say!(
+                answer,
+                "all {} objectives agree, as one instrument (chi-square {chi_sq:.1} of {freedom}); {} times one was seen in the view of another",
+                set.calibrations.len(),
+                set.linked
+            );
+            answer.put(json!({"set": {
+                "agrees": true,
+                "chi_square": chi_sq,
+                "freedom": freedom,
+                "linked": set.linked,
+                "parcentric": set.parcentric,
+            }}));
+        }
+        Whole::NotOne(why) => {
+            answer.warn(Code::ObjectivesDisagree, why.to_string());
+            answer.put(json!({"set": {
+                "agrees": false,
+                "odd": why.odd,
+                "between": why.between,
+                "difference": why.difference,
+            }}));
+        }
     }
 }
 
@@ -183,11 +220,21 @@ fn show_switching(answer: &Answer, all: &[SwitchingReport]) {
     }
 }
 
-/// Where the centre of an objective lies beside that of the first one, in stage axes, with the standard deviation of both numbers, um. Only a
-/// rotation shows that from two calibrations.
-fn parcentric_um(first: &Calibration, other: &Calibration) -> Option<([f64; 2], f64)> {
+/// Where the centre of an objective lies beside that of the first one, in stage axes, with the standard deviation of both numbers, um: by what all
+/// of them say together, else by their rotation centres.
+fn parcentric_um(
+    first: &Calibration,
+    other: &Calibration,
+    together: Option<&Whole>,
+) -> Option<([f64; 2], f64)> {
     if first.objective == other.objective {
         return None;
+    }
+    if let Some(Whole::One(set)) = together {
+        let of = |p: &&Parcentric| (&p.from, &p.to) == (&first.objective, &other.objective);
+        let [x, y] = set.parcentric.iter().find(of)?.offset_um;
+        let sigma = ((x.sigma.powi(2) + y.sigma.powi(2)) / 2.0).sqrt();
+        return Some(([x.value, y.value], sigma));
     }
     let (a, b) = (first.rotation_centre_m?, other.rotation_centre_m?);
     let variance = |c: &Calibration| c.covariance.map(|v| (v[4][4] + v[5][5]) / 2.0);

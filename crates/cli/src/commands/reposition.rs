@@ -54,6 +54,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
             false => known_calibrations(&opened, answer),
         },
         switchings: opened.switchings.clone(),
+        parcentric: opened.parcentric.clone(),
     };
     let asked = Asked {
         inputs: json!({"name": args.name, "options": input.options}),

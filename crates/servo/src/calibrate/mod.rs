@@ -4,9 +4,11 @@
 //! procedure); [`CalibrationMethod::TwoStep`] is the paper's.
 
 mod agree;
+mod alone;
 mod chain;
 pub mod joint;
 mod options;
+mod together;
 pub(crate) mod told;
 mod two_step;
 
@@ -18,7 +20,9 @@ use serde::{Deserialize, Serialize};
 use two_step::TwoStep;
 
 pub use agree::agree;
+pub use alone::Alone;
 pub use options::{CalibrateOptions, CalibrationMethod};
+pub use together::{CalibrationSet, NotOne, Parcentric, SET_SCHEMA, one_microscope};
 pub use told::{ChainPair, ChainPlace, ChainView};
 #[cfg(test)]
 pub(crate) use two_step::DIRECTIONS;
@@ -48,6 +52,14 @@ impl Calibrate {
             }
         };
         Self { method }
+    }
+
+    /// What it saw, once it has answered with this calibration, for [`one_microscope`]; nothing of two steps.
+    pub fn alone(&self, calibration: &Calibration) -> Option<Alone> {
+        match &self.method {
+            Method::Joint(chain) => chain.alone(calibration.clone()),
+            Method::TwoStep(_) => None,
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::MagnificationResult;
 use crate::kinematics::{Motion2, PlanarPose, pose_after};
-use crate::{Calibration, Known, ServoEnd, ServoError, SwitchingReport};
+use crate::{Calibration, Known, Parcentric, ServoEnd, ServoError, SwitchingReport};
 use scopeservo_scope::{ErrorKind, Instrument, ObjectiveId};
 use std::collections::BTreeMap;
 
@@ -25,13 +25,40 @@ pub(super) fn centres_hold(done: &[MagnificationResult]) -> bool {
     !done.windows(2).any(missed)
 }
 
-/// Where the centre of `to` lies beside that of `from`, um in stage axes: by switching between them or from a third one to both, else by the
-/// rotation centres of calibrations that are trusted with it.
-pub(super) fn offset_um(
-    [from, to]: [&ObjectiveId; 2],
-    switchings: &[SwitchingReport],
-    trusted: Option<&BTreeMap<ObjectiveId, Calibration>>,
-) -> Option<[Known; 2]> {
+/// What tells where objectives look beside each other.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Beside<'a> {
+    /// What switching has shown.
+    pub(super) switchings: &'a [SwitchingReport],
+    /// What calibrations that were made together know.
+    pub(super) parcentric: &'a [Parcentric],
+    /// Calibrations that are trusted with it.
+    pub(super) trusted: Option<&'a BTreeMap<ObjectiveId, Calibration>>,
+}
+
+impl<'a> Beside<'a> {
+    pub(super) fn of(
+        switchings: &'a [SwitchingReport],
+        parcentric: &'a [Parcentric],
+        trusted: Option<&'a BTreeMap<ObjectiveId, Calibration>>,
+    ) -> Self {
+        Self {
+            switchings,
+            parcentric,
+            trusted,
+        }
+    }
+}
+
+/// Where the centre of `to` lies beside that of `from`, um in stage axes: by switching between them or from a third one to both; by what
+/// calibrations that were made together know, where they still are the ones in use; else by their rotation centres, as if these were off
+/// independently.
+pub(super) fn offset_um([from, to]: [&ObjectiveId; 2], beside: &Beside<'_>) -> Option<[Known; 2]> {
+    let Beside {
+        switchings,
+        parcentric,
+        trusted,
+    } = *beside;
     let seen = |a: &ObjectiveId, b: &ObjectiveId| {
         let of = |report: &&SwitchingReport| report.from == *a && report.to == *b;
         Some(switchings.iter().find(of)?.expected_um())
@@ -45,6 +72,14 @@ pub(super) fn offset_um(
     let by_a_third = || {
         let mut firsts = switchings.iter().map(|report| &report.from);
         firsts.find_map(|first| Some(between(&seen(first, from)?, &seen(first, to)?)))
+    };
+    let together = || {
+        let [a, b] = [trusted?.get(from)?, trusted?.get(to)?];
+        let forth = parcentric.iter().find(|p| p.is_of(a, b));
+        let over = || parcentric.iter().find(|p| p.is_of(b, a));
+        forth
+            .map(|p| p.offset_um)
+            .or_else(|| Some(back(over()?.offset_um)))
     };
     let by_centres = || {
         let centre = |id: &ObjectiveId| {
@@ -62,6 +97,7 @@ pub(super) fn offset_um(
     seen(from, to)
         .or_else(|| seen(to, from).map(back))
         .or_else(by_a_third)
+        .or_else(together)
         .or_else(by_centres)
 }
 
@@ -126,7 +162,11 @@ mod tests {
         let all = [report("10x", "20x", 5.0), report("10x", "40x", -8.0)];
         let offset = |from: &str, to: &str| {
             let [from, to] = [from, to].map(|id| ObjectiveId(id.into()));
-            offset_um([&from, &to], &all, None).map(|[x, _]| x)
+            let beside = Beside {
+                switchings: &all,
+                ..Beside::default()
+            };
+            offset_um([&from, &to], &beside).map(|[x, _]| x)
         };
         assert_eq!(offset("10x", "40x"), Some(known(-8.0, 0.3)));
         assert_eq!(offset("40x", "10x"), Some(known(8.0, 0.3)));
@@ -135,23 +175,72 @@ mod tests {
         assert_eq!(offset("20x", "100x"), None);
     }
 
-    #[test]
-    fn centres_farther_apart_than_objectives_can_be_tell_no_offset() {
-        let calibration = |id: &str, x_m: f64| Calibration {
+    fn calibration(id: &str, x_m: f64) -> Calibration {
+        Calibration {
             schema: crate::CALIBRATION_SCHEMA,
             objective: ObjectiveId(id.into()),
             image_size_px: [640, 480],
             stage_from_pixel: scopeservo_geometry::Mat2([[0.0, 2e-6], [2e-6, 0.0]]),
             rotation_centre_m: Some([x_m, 0.0]),
-            covariance: Some([[0.0; 6]; 6]),
+            covariance: Some([[1e-12; 6]; 6]),
             backlash: None,
             scatter: None,
+        }
+    }
+
+    #[test]
+    fn what_calibrations_know_together_counts_while_they_are_in_use() {
+        let ids = ["10x", "40x"].map(|id| ObjectiveId(id.into()));
+        let made = [("10x", 0.125), ("40x", 0.125_02)].map(|(id, x_m)| calibration(id, x_m));
+        let parcentric = [Parcentric {
+            from: ids[0].clone(),
+            to: ids[1].clone(),
+            maps: [0, 1].map(|k| made[k].stage_from_pixel),
+            offset_um: [known(19.0, 0.4), known(1.0, 0.5)],
+        }];
+        let offset = |[from, to]: [usize; 2], made: &[Calibration; 2]| {
+            let all = made.clone().map(|c| (c.objective.clone(), c)).into();
+            let beside = Beside {
+                parcentric: &parcentric,
+                trusted: Some(&all),
+                ..Beside::default()
+            };
+            offset_um([&ids[from], &ids[to]], &beside).unwrap()
         };
+        assert_eq!(offset([0, 1], &made), [known(19.0, 0.4), known(1.0, 0.5)]);
+        assert_eq!(offset([1, 0], &made), [known(-19.0, 0.4), known(-1.0, 0.5)]);
+        // One of them was made anew: what the two say by themselves is left, each with its own uncertainty.
+        let mut anew = made;
+        anew[1].stage_from_pixel = anew[1].stage_from_pixel * 1.0001;
+        let [x, _] = offset([0, 1], &anew);
+        assert!((x.value - 20.0).abs() < 1e-6 && (x.sigma - 2f64.sqrt()).abs() < 1e-6);
+        // Nothing counts where they are not trusted, and switching counts first.
+        let seen = [report("10x", "40x", -8.0)];
+        let beside = Beside {
+            parcentric: &parcentric,
+            ..Beside::default()
+        };
+        assert_eq!(offset_um([&ids[0], &ids[1]], &beside), None);
+        let beside = Beside {
+            switchings: &seen,
+            ..beside
+        };
+        let [x, _] = offset_um([&ids[0], &ids[1]], &beside).unwrap();
+        assert_eq!(x.value, -8.0);
+    }
+
+    #[test]
+    fn centres_farther_apart_than_objectives_can_be_tell_no_offset() {
         let [low, high] = ["10x", "40x"].map(|id| ObjectiveId(id.into()));
         for (off_m, known) in [(1e-5, true), (-4e-4, true), (2.3e-3, false), (-9e-3, false)] {
             let all = [(&low, 0.125), (&high, 0.125 + off_m)];
             let all = all.map(|(id, x_m)| (id.clone(), calibration(&id.0, x_m)));
-            let offset = offset_um([&low, &high], &[], Some(&all.into()));
+            let all = all.into();
+            let beside = Beside {
+                trusted: Some(&all),
+                ..Beside::default()
+            };
+            let offset = offset_um([&low, &high], &beside);
             let x = offset.map(|[x, _]| x.value);
             assert_eq!(x.is_some(), known, "{off_m}");
             assert!(x.is_none_or(|x| (x - 1e6 * off_m).abs() < 1e-6), "{x:?}");

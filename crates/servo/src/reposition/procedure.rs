@@ -4,8 +4,10 @@ use super::{
     Ladder, Leg, LegPolicy, MagnificationResult, Outcome, Reason, Shortest, SoFar, Verdict,
 };
 mod ending;
+mod known;
 mod recover;
 
+use super::parcentric::Beside;
 use super::{ahead, parcentric, words};
 use crate::attempt::Tried;
 use crate::event::tell;
@@ -14,8 +16,8 @@ use crate::servo::watch::Watch;
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
     Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions,
-    Identify, Law, Localizer, Phase, PlanarPose, Remark, Servo, ServoEnd, ServoError, ServoOptions,
-    ServoTask, Sink, SwitchingReport, Target, VisionOptions,
+    Identify, Law, Localizer, Parcentric, Phase, PlanarPose, Remark, Servo, ServoEnd, ServoError,
+    ServoOptions, ServoTask, Sink, SwitchingReport, Target, VisionOptions,
 };
 use scopeservo_scope::{Immersion, Instrument, ObjectiveId};
 use serde::{Deserialize, Serialize};
@@ -78,6 +80,9 @@ pub struct Reposition {
     /// What is known of the nosepiece.
     #[serde(default)]
     switchings: Vec<SwitchingReport>,
+    /// Where objectives look beside each other, by calibrations that were made together.
+    #[serde(default)]
+    parcentric: Vec<Parcentric>,
     /// What was on the specimen at the beginning, where that was known.
     #[serde(default)]
     immersion: Option<Immersion>,
@@ -110,6 +115,7 @@ impl Reposition {
             calibrations: BTreeMap::new(),
             known: BTreeSet::new(),
             switchings: Vec::new(),
+            parcentric: Vec::new(),
             immersion: None,
             done: Vec::new(),
             began: None,
@@ -124,13 +130,6 @@ impl Reposition {
     #[must_use]
     pub fn with_target(mut self, target: impl Into<Arc<Target>>) -> Self {
         self.target = Some(target.into());
-        self
-    }
-
-    /// The target was taken by another microscope, where a pixel has this size on the specimen.
-    #[must_use]
-    pub fn with_foreign_scale(mut self, um_per_px: f64) -> Self {
-        self.foreign_um_per_px = Some(um_per_px);
         self
     }
 
@@ -158,25 +157,6 @@ impl Reposition {
             None => here,
             Some(um_per_px) => here.with_um_per_px(um_per_px),
         })
-    }
-
-    /// Takes calibrations that are known already: those objectives are not calibrated on the way.
-    #[must_use]
-    pub fn with_calibrations(
-        mut self,
-        known: impl IntoIterator<Item = (ObjectiveId, Calibration)>,
-    ) -> Self {
-        for (objective, calibration) in known {
-            self.known.insert(objective.clone());
-            self.calibrations.insert(objective, calibration);
-        }
-        self
-    }
-
-    /// Takes what is known of where objectives look beside each other.
-    #[must_use]
-    pub fn with_switchings(self, switchings: Vec<SwitchingReport>) -> Self {
-        Self { switchings, ..self }
     }
 
     /// The calibrations that were made on the way, the newest of each objective: worth keeping, however the run ends.
@@ -308,12 +288,9 @@ impl Reposition {
                 let here = self.calibrations.get(leg.objective());
                 let here = here.ok_or_else(missing)?;
                 let at_target = target_calibration.as_ref().ok_or_else(missing)?;
-                let hand_overs = ahead::hand_overs(
-                    scope,
-                    &above,
-                    (centres_hold.then_some(&self.calibrations), &self.switchings),
-                    (here, at_target),
-                );
+                let trusted = centres_hold.then_some(&self.calibrations);
+                let beside = Beside::of(&self.switchings, &self.parcentric, trusted);
+                let hand_overs = ahead::hand_overs(scope, &above, &beside, (here, at_target));
                 let task = ServoTask {
                     target: &target,
                     view_calibration: here,
@@ -354,11 +331,11 @@ impl Reposition {
         leg: Leg,
     ) -> Result<(), ServoError> {
         let before = self.done.last();
+        let trusted = parcentric::centres_hold(&self.done).then_some(&self.calibrations);
         if let Some(before) = before.filter(|d| matches!(d.end, ServoEnd::Converged(_)))
             && let Some(offset_um) = parcentric::offset_um(
                 [&before.objective, leg.objective()],
-                &self.switchings,
-                parcentric::centres_hold(&self.done).then_some(&self.calibrations),
+                &Beside::of(&self.switchings, &self.parcentric, trusted),
             )
         {
             let own = self.calibrations.get(leg.objective());

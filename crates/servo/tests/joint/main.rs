@@ -4,6 +4,7 @@ mod accuracy;
 mod coverage;
 mod instruments;
 mod reference;
+mod together;
 mod world;
 mod wrong_pair;
 

@@ -4,13 +4,17 @@ use scopeservo_geometry::{Mat2, SplitMix64, Vec2};
 use scopeservo_scope::Kinematics;
 use scopeservo_servo::PlanarPose;
 use scopeservo_servo::joint::{
-    JointFit, Known, Optics, Pair, PathOptions, Priors, Role, Taken, View, fit, next_view, partners,
+    JointFit, Known, Link, Optics, Pair, PathOptions, Priors, Role, Taken, View, fit, next_view,
+    partners,
 };
 
 /// The paper's hexapod, its +-0.15 um and +-3 urad taken as standard deviations.
 pub(crate) const HEXAPOD: [f64; 3] = [0.15e-6, 0.15e-6, 3e-6];
 /// Registration noise: centre px, angle rad.
 pub(crate) const NOISE: [f64; 2] = [0.03, 2e-4];
+
+/// The same of the first view of one objective in that of another, whose pixels are larger; and of the logarithm of the scale.
+const LINK_NOISE: [f64; 4] = [0.1, 0.1, 3e-4, 5e-4];
 
 /// Seconds from view to view.
 const VIEW_S: f64 = 0.5;
@@ -23,6 +27,8 @@ pub(crate) struct World {
     pub(crate) scatter: [f64; 3],
     /// x and y, m/s.
     pub(crate) drift: [f64; 2],
+    /// For how long it has drifted when the first view is taken, s.
+    pub(crate) began_s: f64,
     pub(crate) reach: [f64; 3],
     /// How far from the first view there is something to see, m.
     pub(crate) extent_m: f64,
@@ -62,6 +68,7 @@ impl World {
             backlash: [0.0; 3],
             scatter: HEXAPOD,
             drift: [0.0; 2],
+            began_s: 0.0,
             reach: [17e-3, 16e-3, 21f64.to_radians()],
             extent_m: 1.0,
             rng: SplitMix64::new(seed),
@@ -106,7 +113,7 @@ impl World {
         for (k, truly) in truly.iter_mut().enumerate().take(axes) {
             *truly += self.scattered[k];
         }
-        let time_s = VIEW_S * self.truly.len() as f64;
+        let time_s = self.began_s + VIEW_S * self.truly.len() as f64;
         for (truly, drift) in truly.iter_mut().zip(self.drift) {
             *truly += drift * time_s;
         }
@@ -170,6 +177,32 @@ impl World {
             found,
             centre_px,
             angle_rad,
+            covariance,
+        })
+    }
+
+    /// What the registration of another objective's first view says in that of this one; `None` where its middle is not in there.
+    pub(crate) fn link(&mut self, other: &World, both: [usize; 2]) -> Option<Link> {
+        let see = |p: Vec2| self.pixel(0, other.specimen(0, p));
+        let (o, x, y) = (see([0.0; 2]), see([100.0, 0.0]), see([0.0, 100.0]));
+        if o[0].abs() > 320.0 || o[1].abs() > 240.0 {
+            return None;
+        }
+        let column = |v: Vec2| [0, 1].map(|k| (v[k] - o[k]) / 100.0);
+        let [[a, c], [b, d]] = [column(x), column(y)];
+        let angle_rad = f64::atan2(c - b, a + d);
+        let scale = 0.5 * (a * d - b * c).abs().ln();
+        let truly = [o[0], o[1], angle_rad, scale];
+        let seen = [0, 1, 2, 3].map(|k| truly[k] + LINK_NOISE[k] * self.rng.normal());
+        let mut covariance = [[0.0; 4]; 4];
+        for (k, row) in covariance.iter_mut().enumerate() {
+            row[k] = LINK_NOISE[k].powi(2);
+        }
+        let [fixed, found] = both;
+        Some(Link {
+            fixed,
+            found,
+            seen,
             covariance,
         })
     }

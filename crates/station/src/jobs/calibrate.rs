@@ -1,10 +1,12 @@
-//! Objectives calibrated one after the other, from the lowest magnification up, those that work in one medium together.
+//! Objectives calibrated one after the other, from the lowest magnification up, those that work in one medium together; at the end all of them as
+//! one instrument.
 
 use crate::{JobError, Kept, MadeCalibration, UseCase, Work};
 use scopeservo_scope::{Immersion, Objective, ObjectiveId, by_immersion};
 use scopeservo_servo::{
-    Bring, Calibrate, CalibrateOptions, Calibration, Event, FocusOptions, Phase, Progress, Stamped,
-    Switching, SwitchingOptions, SwitchingReport, VisionOptions, agree, first_step,
+    Alone, Bring, Calibrate, CalibrateOptions, Calibration, CalibrationSet, Event, FocusOptions,
+    NotOne, Phase, Progress, Stamped, Switching, SwitchingOptions, SwitchingReport, VisionOptions,
+    agree, first_step, one_microscope,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -45,6 +47,19 @@ pub struct CalibrateOutput {
     /// What switching between objectives has shown, to be kept.
     #[serde(default)]
     pub switching: Vec<SwitchingReport>,
+    /// Whether the objectives are one instrument; `None` of one objective, and of two steps.
+    #[serde(default)]
+    pub together: Option<Whole>,
+}
+
+/// Objectives as one instrument.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Whole {
+    /// They are: what was made is what all of them say, to be kept.
+    One(Box<CalibrationSet>),
+    /// They contradict each other: each is kept as its own views say.
+    NotOne(NotOne),
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -65,6 +80,12 @@ pub struct CalibrateJob {
     /// Those to come; the first is under way.
     left: VecDeque<Objective>,
     made: Vec<MadeCalibration>,
+    /// What each of them saw.
+    #[serde(default)]
+    alone: Vec<Alone>,
+    /// What all of them say; asked once.
+    #[serde(default)]
+    together: Option<Whole>,
     /// What switching has shown so far.
     #[serde(default)]
     switched: Vec<SwitchingReport>,
@@ -78,6 +99,8 @@ impl CalibrateJob {
             state: State::Begin,
             left: VecDeque::new(),
             made: Vec::new(),
+            alone: Vec::new(),
+            together: None,
             switched: Vec::new(),
         }
     }
@@ -118,6 +141,32 @@ impl CalibrateJob {
         Ok(next.map(|pair| Switching::new(pair, options)))
     }
 
+    /// Makes one instrument of all, where that was not asked yet and there is more than one. What all of them say is kept beside what each said by
+    /// itself, and counts.
+    fn whole(&mut self, work: &mut Work<'_>) -> bool {
+        if self.together.is_some() || self.alone.len() != self.made.len() {
+            return false;
+        }
+        let kinematics = work.scope().gate().info().kinematics;
+        let Some(said) = one_microscope(&self.alone, kinematics, &self.input.vision) else {
+            return false;
+        };
+        self.together = Some(match said {
+            Ok(set) => {
+                for (made, calibration) in self.made.iter_mut().zip(&set.calibrations) {
+                    made.calibration = calibration.clone();
+                    work.keep(Kept::Calibration(Box::new(made.clone())));
+                }
+                let set = Box::new(set);
+                work.keep(Kept::Set(set.clone()));
+                Whole::One(set)
+            }
+            Err(why) => Whole::NotOne(why),
+        });
+        self.alone.clear();
+        true
+    }
+
     fn plan(&mut self, work: &Work<'_>) -> Result<(), JobError> {
         let scope = work.scope();
         let named = self.input.objectives.iter();
@@ -155,9 +204,14 @@ impl UseCase for CalibrateJob {
                     return Ok(Progress::Continue);
                 }
                 let Some(objective) = self.left.front() else {
+                    // A step of its own: one that is made again after a kill keeps nothing twice.
+                    if self.whole(work) {
+                        return Ok(Progress::Continue);
+                    }
                     return Ok(Progress::Done(CalibrateOutput {
                         made: std::mem::take(&mut self.made),
                         switching: std::mem::take(&mut self.switched),
+                        together: self.together.take(),
                     }));
                 };
                 let (focus, vision) = (input.focus.clone(), input.vision.clone());
@@ -189,6 +243,7 @@ impl UseCase for CalibrateJob {
                     let before: Vec<&Calibration> =
                         self.made.iter().map(|m| &m.calibration).collect();
                     agree(work.scope().gate().objectives(), &before, &calibration)?;
+                    self.alone.extend(calibrate.alone(&calibration));
                     self.made.push(work.keep_calibration(calibration));
                     self.left.pop_front();
                     self.state = State::Next;

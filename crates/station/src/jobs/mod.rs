@@ -15,7 +15,7 @@ mod reposition;
 mod save_target;
 
 pub use any::{Answer, AnyJob, Request, StoredError};
-pub use calibrate::{CalibrateInput, CalibrateJob, CalibrateOutput};
+pub use calibrate::{CalibrateInput, CalibrateJob, CalibrateOutput, Whole};
 pub use check::{CheckInput, CheckJob, CheckOutput, Checked};
 pub use doctor::{
     Check, DoctorInput, DoctorJob, DoctorOutput, Finding, Trouble, look_by_small_moves,

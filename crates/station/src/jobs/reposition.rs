@@ -3,7 +3,8 @@
 use crate::{JobError, MadeCalibration, UseCase, Work};
 use scopeservo_scope::{Counters, ObjectiveId};
 use scopeservo_servo::{
-    Calibration, Outcome, Progress, Reposition, RepositionOptions, SwitchingReport, Target,
+    Calibration, Outcome, Parcentric, Progress, Reposition, RepositionOptions, SwitchingReport,
+    Target,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -22,6 +23,8 @@ pub struct RepositionInput {
     pub known: Vec<Calibration>,
     /// What is known of where its objectives look beside each other.
     pub switchings: Vec<SwitchingReport>,
+    /// The same by calibrations that are one instrument.
+    pub parcentric: Vec<Parcentric>,
 }
 
 /// The answer.
@@ -51,7 +54,8 @@ impl RepositionJob {
         let known = known.map(|c| (c.objective.clone(), c));
         let mut run = Reposition::new(target, input.options)
             .with_calibrations(known)
-            .with_switchings(input.switchings);
+            .with_switchings(input.switchings)
+            .with_parcentric(input.parcentric);
         if let Some(um_per_px) = input.foreign_um_per_px {
             run = run.with_foreign_scale(um_per_px);
         }

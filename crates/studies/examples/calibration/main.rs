@@ -4,6 +4,7 @@
 //! `cargo run --release -p scopeservo-studies --example calibration -- instruments --count 400`
 //! `cargo run --release -p scopeservo-studies --example calibration -- pairwise --times 4`
 //! `cargo run --release -p scopeservo-studies --example calibration -- convergence`
+//! `cargo run --release -p scopeservo-studies --example calibration -- together --rounds 10`
 //!
 //! `--method grid` does the same by a grid of dots, of 100, 50 and 20 um at 10x, 20x and 40x.
 //!
@@ -20,6 +21,7 @@ mod page;
 mod record;
 mod specimens;
 mod table;
+mod together;
 
 use clap::{Parser, Subcommand, ValueEnum};
 use instrument::{Design, pairwise};
@@ -67,12 +69,27 @@ enum Study {
         /// Instruments.
         #[arg(long, default_value_t = 400)]
         count: u64,
+        /// The number of the first one.
+        #[arg(long, default_value_t = 0)]
+        first: u64,
     },
     /// How wrong a calibration may be so that the servo still comes back.
     Convergence {
         /// Only this objective: 10x, 20x or 40x.
         #[arg(long, value_parser = OBJECTIVES)]
         objective: Option<String>,
+    },
+    /// Three objectives of the paper's instrument: where they look beside each other.
+    Together {
+        /// Rounds.
+        #[arg(long, default_value_t = 10)]
+        rounds: u64,
+        /// Play of x and y, um, and of the rotation at a lever of 100 mm.
+        #[arg(long, default_value_t = 0.0)]
+        play_um: f64,
+        /// Their repeatability, um; the paper's unless told.
+        #[arg(long)]
+        scatter_um: Option<f64>,
     },
     /// Instruments of which any two properties come together in one at least; each must be calibrated, and be right.
     Pairwise {
@@ -113,13 +130,27 @@ fn main() -> Outcome<()> {
             let numbers = (0..3 * rounds).filter(of).collect();
             ("table2", numbers, Design::of_paper)
         }
-        Study::Instruments { count } => ("instruments", (0..*count).collect(), Design::any),
+        Study::Instruments { count, first } => {
+            let numbers = (*first..first + count).collect();
+            ("instruments", numbers, Design::any)
+        }
         Study::Pairwise { times } => {
             let count = times * pairwise().len() as u64;
             ("pairwise", (0..count).collect(), Design::of_pairs)
         }
         Study::Convergence { objective } => {
             return converges(&args, objective.as_deref(), threads);
+        }
+        Study::Together {
+            rounds,
+            play_um,
+            scatter_um,
+        } => {
+            let stage = together::Stage {
+                play_um: *play_um,
+                scatter_um: *scatter_um,
+            };
+            return tries_together(&args, *rounds, stage, threads);
         }
     };
     let specimens = match (&args.method, &args.study) {
@@ -144,7 +175,9 @@ fn main() -> Outcome<()> {
     )?;
     let failed = match args.study {
         Study::Table2 { .. } => table::of_paper(&records),
-        Study::Instruments { .. } | Study::Convergence { .. } => table::of_any(&records),
+        Study::Instruments { .. } | Study::Convergence { .. } | Study::Together { .. } => {
+            table::of_any(&records)
+        }
         Study::Pairwise { .. } => table::of_any(&records) | table::any_wrong(&records),
     };
     let title = format!("{name}, {method_name}");
@@ -160,6 +193,25 @@ fn main() -> Outcome<()> {
     std::fs::write(path.with_extension("csv"), table::csv(&records))?;
     println!("\nplots: {}", page_path.display());
     if failed {
+        std::process::exit(1);
+    }
+    Ok(())
+}
+
+/// The study of several objectives.
+fn tries_together(args: &Args, count: u64, stage: together::Stage, threads: usize) -> Outcome<()> {
+    let scatter = stage.scatter_um.map_or("paper".into(), |s| s.to_string());
+    let name = format!("together-{}-{scatter}.jsonl", stage.play_um);
+    let numbers: Vec<u64> = (0..count).collect();
+    let specimens = Specimens::tissue();
+    let all = rounds(
+        &args.out.join(name),
+        &numbers,
+        threads,
+        |r: &together::Round| r.index,
+        |k| together::tried(k, stage, &specimens),
+    )?;
+    if together::told(&all) {
         std::process::exit(1);
     }
     Ok(())

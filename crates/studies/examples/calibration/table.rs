@@ -70,7 +70,30 @@ pub(crate) fn of_paper(records: &[Record]) -> bool {
 
 /// The table of instruments of every kind; whether anything is wrong.
 pub(crate) fn of_any(records: &[Record]) -> bool {
-    within(records)
+    let failed = within(records);
+    by_number(records);
+    failed
+}
+
+/// Number by number: how many 95 % intervals hold the truth, and the root mean square of how far off they are, in standard deviations.
+fn by_number(records: &[Record]) {
+    println!("\n| number | of | 95 % hold the truth | rms of pulls | beyond 3 |");
+    println!("|---|---|---|---|---|");
+    let pulls: Vec<Vec<f64>> = records.iter().map(Record::pulls).collect();
+    for (k, name) in ["m11", "m12", "m21", "m22", "centre x", "centre y"]
+        .into_iter()
+        .enumerate()
+    {
+        let of: Vec<f64> = pulls.iter().filter_map(|p| p.get(k).copied()).collect();
+        let count = |limit: f64| of.iter().filter(|p| p.abs() < limit).count();
+        println!(
+            "| {name} | {} | {:.1} | {:.3} | {} |",
+            of.len(),
+            100.0 * count(1.96) as f64 / of.len().max(1) as f64,
+            mean(of.iter().map(|p| p * p)).sqrt(),
+            of.len() - count(3.0)
+        );
+    }
 }
 
 /// One number of 30 000 is farther off than this, in its standard deviations.

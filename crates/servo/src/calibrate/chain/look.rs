@@ -89,6 +89,9 @@ impl Chain {
 
     /// Keeps a view's features: the strongest that are not fixed to the camera.
     fn keep(&mut self, features: Features) {
+        if self.first.is_none() {
+            self.first = Some(features.clone());
+        }
         self.features.push(features);
         let from = match self.features.len() {
             0..WHOLE => return,

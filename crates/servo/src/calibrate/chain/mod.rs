@@ -7,6 +7,7 @@ mod sense;
 mod told;
 mod verdict;
 
+use super::alone::Alone;
 use super::joint::{JointFit, Known, Next, Pair, Priors, Role, Taken, View, fit, next_view};
 use crate::event::tell;
 use crate::hand_eye::pose_sigma;
@@ -15,6 +16,7 @@ use crate::procedure::{Progress, home_after_an_answer};
 use crate::{CalibrateOptions, Calibration, ErrorKind, Event, ServoError, Sink, VisionOptions};
 use fixed::FixedOnSensor;
 use pair::Place;
+pub(super) use pair::link_of;
 use scopeservo_features::Features;
 use scopeservo_registration::NotFound;
 use scopeservo_scope::{Axis, Instrument, Objective, ScopeError, StagePose};
@@ -22,11 +24,11 @@ use serde::{Deserialize, Serialize};
 
 /// Standard deviations of what nobody has measured: backlash of x, y (m) and rotation (rad), the rotation centre, and the centres of two
 /// objectives from each other (m).
-const BACKLASH: [f64; 3] = [30e-6, 30e-6, 1e-4];
+pub(super) const BACKLASH: [f64; 3] = [30e-6, 30e-6, 1e-4];
 const LEVER_M: f64 = 0.3;
 const PARCENTRIC_M: f64 = 50e-6;
 /// What is warm or hangs on a cable drifts by some nm/s.
-const DRIFT_M_PER_S: f64 = 10e-9;
+pub(super) const DRIFT_M_PER_S: f64 = 10e-9;
 
 /// A calibration around the present place.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -40,6 +42,9 @@ pub(crate) struct Chain {
     taken: Vec<Taken>,
     /// Of each view.
     features: Vec<Features>,
+    /// All those of the first.
+    #[serde(default)]
+    first: Option<Features>,
     /// Where each view lies in the first.
     places: Vec<Option<Place>>,
     pairs: Vec<Pair>,
@@ -68,6 +73,7 @@ impl Chain {
             via: None,
             taken: Vec::new(),
             features: Vec::new(),
+            first: None,
             places: Vec::new(),
             pairs: Vec::new(),
             fixed: FixedOnSensor::default(),
@@ -109,6 +115,7 @@ impl Chain {
             self.obeys(scope)?;
             return Ok(Progress::Continue);
         }
+        self.fit = self.whole_fit(scope);
         let (calibration, residual_px) = self.verdict(scope)?;
         if self.taken.last().is_none_or(|t| t.role != Role::Home) {
             self.go_home(scope)?;
@@ -121,6 +128,19 @@ impl Chain {
         };
         tell(scope, sink, event);
         Ok(Progress::Done(calibration))
+    }
+
+    /// What it saw, to be compared with other objectives: nothing where it was not solved for.
+    pub(super) fn alone(&self, calibration: Calibration) -> Option<Alone> {
+        let single = self.fit.as_ref()?.single(self.taken.first()?.view.time_s)?;
+        let all = self.first.as_ref()?;
+        let free = (0..all.len()).filter(|i| !self.fixed.has(&all.keypoints[*i]));
+        let features = all.subset(&free.collect::<Vec<usize>>());
+        Some(Alone {
+            calibration,
+            single,
+            features,
+        })
     }
 
     fn known(&self, scope: &Instrument) -> Option<Known<'_>> {

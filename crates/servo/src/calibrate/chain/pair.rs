@@ -1,6 +1,6 @@
 //! What the registration of two views says, and where it puts the one in the other.
 
-use super::super::joint::Pair;
+use super::super::joint::{Link, Pair};
 use crate::vision::centre_px;
 use scopeservo_geometry::{Mat2, Vec2};
 use scopeservo_registration::Estimate;
@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 
 /// No registration is better than this at an image's centre, px, and at half an image from it.
 const LEAST_PX: f64 = 0.01;
+/// Of the view of one objective in that of another: no lens is without distortion. Px, rad, and of the scale.
+const LEAST_LINK: [f64; 4] = [0.05, 0.05, 2e-4, 5e-4];
 /// Where a view lies in the first one: its centre, px from that one's, and its angle.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Place {
@@ -41,35 +43,61 @@ pub(super) fn pair_of(
     fixed: usize,
     found: usize,
 ) -> Pair {
+    let half_px = 0.5 * f64::hypot(size_px[0] as f64, size_px[1] as f64);
+    let least = [LEAST_PX, LEAST_PX, LEAST_PX / half_px, 0.0];
+    let ([x, y, angle_rad, _], covariance) = read(estimate, size_px, least);
+    Pair {
+        fixed,
+        found,
+        centre_px: [x, y],
+        angle_rad,
+        covariance: [0, 1, 2].map(|r| [0, 1, 2].map(|s| covariance[r][s])),
+    }
+}
+
+/// The same of the view of one objective in that of another, with the scale.
+pub(crate) fn link_of(
+    estimate: &Estimate,
+    size_px: [usize; 2],
+    [fixed, found]: [usize; 2],
+) -> Link {
+    let (seen, covariance) = read(estimate, size_px, LEAST_LINK);
+    Link {
+        fixed,
+        found,
+        seen,
+        covariance,
+    }
+}
+
+/// Where the centre of the one image lies in the other, px from its centre; the angle of the nearest rotation, rad; and the logarithm of the
+/// scale; with their covariance, to which the squares of `least` are added.
+fn read(estimate: &Estimate, size_px: [usize; 2], least: [f64; 4]) -> ([f64; 4], [[f64; 4]; 4]) {
     let c = centre_px(size_px[0], size_px[1]);
     let transform = &estimate.target_from_view;
     let Mat2([[a, b], [d, e]]) = transform.linear;
-    let (cosine, sine) = (a + e, d - b);
+    let (cosine, sine, det) = (a + e, d - b, transform.linear.det());
     let length_sq = cosine * cosine + sine * sine;
     let turn = [-sine, -cosine, 0.0, cosine, -sine, 0.0].map(|v| v / length_sq);
+    let scale = [e, -d, 0.0, -b, a, 0.0].map(|v| 0.5 * v / det);
     let by = [
         [c[0], c[1], 1.0, 0.0, 0.0, 0.0],
         [0.0, 0.0, 0.0, c[0], c[1], 1.0],
         turn,
+        scale,
     ];
-    let half_px = 0.5 * f64::hypot(size_px[0] as f64, size_px[1] as f64);
-    let least = [LEAST_PX, LEAST_PX, LEAST_PX / half_px].map(|s| s * s);
     let covariance = std::array::from_fn(|r| {
         std::array::from_fn(|s| {
             let all = (0..6).flat_map(|i| (0..6).map(move |j| (i, j)));
             let of: f64 = all
                 .map(|(i, j)| by[r][i] * estimate.covariance[i][j] * by[s][j])
                 .sum();
-            of + if r == s { least[r] } else { 0.0 }
+            of + if r == s { least[r] * least[r] } else { 0.0 }
         })
     });
-    Pair {
-        fixed,
-        found,
-        centre_px: transform.recentred(c, c).offset,
-        angle_rad: f64::atan2(sine, cosine),
-        covariance,
-    }
+    let [x, y] = transform.recentred(c, c).offset;
+    let seen = [x, y, f64::atan2(sine, cosine), 0.5 * det.abs().ln()];
+    (seen, covariance)
 }
 
 #[cfg(test)]

@@ -80,7 +80,7 @@ impl Chain {
     }
 
     /// What all views say: known already, unless the path ended on one of which it learns nothing new.
-    fn whole_fit(&self, scope: &Instrument) -> Option<JointFit> {
+    pub(super) fn whole_fit(&self, scope: &Instrument) -> Option<JointFit> {
         let whole = |fit: &&JointFit| fit.poses.len() == self.taken.len();
         let known = self.fit.as_ref().filter(whole).cloned();
         known.or_else(|| self.solve(scope))

@@ -6,7 +6,7 @@ use super::model::{Instrument, OPTICS, Order, Pair, Priors, Unknowns, View, axes
 use super::start::start;
 use super::three::{Three, dot, entries, inverse, product, times};
 use crate::kinematics::PlanarPose;
-use scopeservo_geometry::{Cholesky, cholesky_inverse};
+use scopeservo_geometry::{Cholesky, Vec2, cholesky_inverse};
 use serde::{Deserialize, Serialize};
 
 /// What the measurements say of the instrument, with its covariance.
@@ -19,6 +19,12 @@ pub struct JointFit {
     /// Covariance of the instrument with the poses marginalised: backlash x, y, rotation; then of each optics the map row by row and the
     /// centre. n x n, row by row, in SI units; zero where there is no such axis.
     pub covariance: Vec<f64>,
+    /// How fast the stage drifts, x and y, m/s.
+    #[serde(default)]
+    pub drift: Vec2,
+    /// Covariance of the pose of the first view and of the drift with the n numbers of the instrument, then with each other: 5 x (n + 5).
+    #[serde(default)]
+    pub besides: Vec<f64>,
     /// Weighted sum of squares; chi-square with `freedom` degrees of freedom.
     pub chi_sq: f64,
     /// Three for each pair that counts, less what the measurements determine of the instrument.
@@ -375,6 +381,11 @@ impl Solved {
         let covariance: Vec<f64> = (first..n)
             .flat_map(|i| self.covariance[i * n + first..(i + 1) * n].to_vec())
             .collect();
+        let besides = || (0..3).chain(order.drift()..first);
+        let besides = besides()
+            .flat_map(|i| (first..n).chain(besides()).map(move |j| i * n + j))
+            .map(|cell| self.covariance[cell])
+            .collect();
         let left_out: Vec<usize> = (0..problem.pairs.len())
             .filter(|k| problem.weights[*k] == 0.0)
             .collect();
@@ -384,6 +395,8 @@ impl Solved {
             instrument: self.at.instrument,
             poses: self.at.poses,
             covariance,
+            drift: self.at.drift,
+            besides,
             chi_sq: self.cost,
             freedom,
             left_out,
