@@ -25,6 +25,11 @@ pub enum Attempt {
         /// How fast it drifted at first, um/s.
         um_per_s: f64,
     },
+    /// The view was less sharp than the saved one: another height was looked for.
+    FocusedAgain {
+        /// So far from focus a view is as blurred, um.
+        defocus_um: f64,
+    },
     /// Moves came no nearer: each axis goes to its goal from below since, so that its play is taken up.
     OtherSide,
     /// The target was not seen: it was looked for with another objective.

@@ -1,7 +1,7 @@
 //! What the pixels of a frame said, to be told.
 
 use scopeservo_registration::NotFound;
-use scopeservo_registration::pixels::{Abstained, Evidence, Judgement};
+use scopeservo_registration::pixels::{Abstained, Evidence, Judgement, Sharpness};
 use serde::{Deserialize, Serialize};
 
 /// What the pixels of a frame said.
@@ -16,6 +16,9 @@ pub struct PixelsSeen {
     /// Near the goal, whether blocks of pixels lie where the transform puts them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub evidence: Option<Evidence>,
+    /// How sharp the view is beside the target; `None` where that could not be told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sharpness: Option<Sharpness>,
 }
 
 impl PixelsSeen {

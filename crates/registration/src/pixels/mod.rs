@@ -14,6 +14,7 @@ mod evidence;
 mod fit;
 mod matched;
 mod refine;
+mod sharpness;
 mod surface;
 mod tone;
 
@@ -21,6 +22,7 @@ use scopeservo_features::{GrayImage, Mask};
 
 pub use evidence::{Evidence, Judgement, weigh};
 pub use refine::{Abstained, Refined, refine};
+pub use sharpness::{Sharpness, sharpness};
 
 /// Two images, and what of them counts; all of it where nothing is said.
 #[derive(Debug, Clone, Copy)]

@@ -51,7 +51,7 @@ impl Focus {
     }
 
     /// So far to the side away from the specimen, where the stage may go there, that what comes next is reached from that side.
-    fn take_up_play(&self, scope: &Instrument, z_um: f64) -> Result<(), ServoError> {
+    fn take_up_play(scope: &Instrument, z_um: f64) -> Result<(), ServoError> {
         let stated = scope.gate().info().axis(Axis::Z).map(AxisInfo::clearance);
         let way_m = stated.unwrap_or(0.0).max(search::TAKES_UP_UM * 1e-6);
         let beyond = scope.gate().info().positive_z.away(z_um * 1e-6, way_m);
@@ -60,6 +60,12 @@ impl Focus {
             scope.move_to(&beyond)?;
         }
         Ok(())
+    }
+
+    /// To a height, from the side away from the specimen; tells where the stage then says it is.
+    pub(crate) fn go_from_far(scope: &Instrument, z_um: f64) -> Result<f64, ServoError> {
+        Self::take_up_play(scope, z_um)?;
+        Self::go(scope, z_um)
     }
 
     fn look(
@@ -105,7 +111,7 @@ impl Focus {
         if !self.plan_um.is_empty() {
             let z_um = self.plan_um.remove(0);
             if !self.comes_from_far(scope, z_um)? {
-                self.take_up_play(scope, z_um)?;
+                Self::take_up_play(scope, z_um)?;
             }
             self.look(scope, sink, z_um)?;
             if !self.plan_um.is_empty() {

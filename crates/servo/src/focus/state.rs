@@ -11,6 +11,10 @@ use serde::{Deserialize, Serialize};
 
 /// A Gaussian of so many pixels stands for the finest level.
 const FINEST_PX: f64 = 1.5;
+/// A look around a height goes so far above and below at least, um, and in widths of the finest level.
+const NEARBY_UM: f64 = 30.0;
+const NEARBY: f64 = 10.0;
+
 /// What is under way.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -85,6 +89,17 @@ impl Focus {
     /// The same, where the present height seems to be in focus: few frames when it is.
     pub fn expecting_here(self) -> Self {
         Self { here: true, ..self }
+    }
+
+    /// The same where the present height is nearly in focus: no farther than a look around it goes.
+    pub(crate) fn nearby(objective: Objective, options: &FocusOptions) -> Self {
+        let reach_um = NEARBY_UM.max(NEARBY * Self::finest_width_um(&objective));
+        let bounded = FocusOptions {
+            half_range_um: options.half_range_um.min(reach_um),
+            nearest_um: options.nearest_um.min(reach_um),
+            ..options.clone()
+        };
+        Self::new(objective, bounded).expecting_here()
     }
 
     /// The samples on one level.

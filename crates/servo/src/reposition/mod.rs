@@ -7,6 +7,7 @@ mod light;
 mod outcome;
 mod parcentric;
 mod procedure;
+mod sharpening;
 mod words;
 mod words_of_reach;
 

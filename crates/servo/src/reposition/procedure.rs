@@ -5,9 +5,12 @@ use super::{
 };
 mod ending;
 mod known;
+mod legs;
 mod recover;
+mod sharpen;
 
 use super::parcentric::Beside;
+use super::sharpening::Sharpening;
 use super::{ahead, parcentric, words};
 use crate::attempt::Tried;
 use crate::event::tell;
@@ -15,8 +18,8 @@ use crate::procedure::{Procedure, Progress};
 use crate::servo::watch::Watch;
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
-    Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, FocusOptions,
-    Identify, Law, Localizer, Parcentric, Phase, PlanarPose, Remark, Servo, ServoEnd, ServoError,
+    Bring, Calibrate, CalibrateOptions, Calibration, Event, FeatureLocalizer, Focus, FocusOptions,
+    Identify, Law, Localizer, Parcentric, Phase, PlanarPose, Remark, Servo, ServoError,
     ServoOptions, ServoTask, Sink, SwitchingReport, Target, VisionOptions,
 };
 use scopeservo_scope::{Immersion, Instrument, ObjectiveId};
@@ -58,6 +61,11 @@ enum Work {
     Bring(Box<Bring>),
     Calibrate(Box<Calibrate>),
     Servo(Box<Servo>),
+    /// The view was less sharp than the target: the servo waits for another height.
+    Focus {
+        focus: Box<Focus>,
+        servo: Box<Servo>,
+    },
     /// Nothing was seen: is it the objective that it is said to be?
     Identify(Box<Identify>),
 }
@@ -99,6 +107,9 @@ pub struct Reposition {
     /// What was tried between loops.
     #[serde(default)]
     tried: Tried,
+    /// What was done about a view that was less sharp than the target.
+    #[serde(default)]
+    sharpening: Sharpening,
     /// How the camera exposed before the run changed that.
     #[serde(default)]
     exposure_before: Option<Duration>,
@@ -122,6 +133,7 @@ impl Reposition {
             watch: Watch::default(),
             remarks: Vec::new(),
             tried: Tried::default(),
+            sharpening: Sharpening::default(),
             exposure_before: None,
         }
     }
@@ -255,9 +267,7 @@ impl Reposition {
             State::Begin => return self.begin(scope, sink, &target),
             State::Under { leg, work } => (leg.clone(), work),
             State::Ended => {
-                return Err(ServoError::CannotGoOn(
-                    "this run has ended already; start a new one".into(),
-                ));
+                return Err(cannot_go_on("this run has ended already; start a new one"));
             }
         };
         // A run that goes on after a kill may find another objective than it left, or one that nobody has looked at.
@@ -282,9 +292,7 @@ impl Reposition {
                 Ok(None)
             }
             Work::Servo(servo) => {
-                let missing = || {
-                    ServoError::CannotGoOn("a stored run lacks a calibration; start it anew".into())
-                };
+                let missing = || cannot_go_on("a stored run lacks a calibration; start it anew");
                 let here = self.calibrations.get(leg.objective());
                 let here = here.ok_or_else(missing)?;
                 let at_target = target_calibration.as_ref().ok_or_else(missing)?;
@@ -302,6 +310,7 @@ impl Reposition {
                     localizer: None,
                 };
                 let Progress::Done(end) = servo.step(&task, scope, sink)? else {
+                    self.sharpens(scope, sink)?;
                     return Ok(None);
                 };
                 let seen = servo.seen();
@@ -316,81 +325,20 @@ impl Reposition {
                 self.go_back(scope, &end)?;
                 self.servoed(scope, sink, &target, (leg, &end), seen)
             }
+            Work::Focus { focus, .. } => {
+                let ended = focus.step(scope, sink);
+                self.focused(scope, sink, ended)
+            }
             Work::Identify(identify) => {
                 let seen = identify.step(scope, sink);
                 self.looked_at(scope, leg.objective(), seen)
             }
         }
     }
+}
 
-    /// The objective is active and in focus.
-    fn brought(
-        &mut self,
-        scope: &Instrument,
-        sink: &mut dyn Sink,
-        leg: Leg,
-    ) -> Result<(), ServoError> {
-        let before = self.done.last();
-        let trusted = parcentric::centres_hold(&self.done).then_some(&self.calibrations);
-        if let Some(before) = before.filter(|d| matches!(d.end, ServoEnd::Converged(_)))
-            && let Some(offset_um) = parcentric::offset_um(
-                [&before.objective, leg.objective()],
-                &Beside::of(&self.switchings, &self.parcentric, trusted),
-            )
-        {
-            let own = self.calibrations.get(leg.objective());
-            let nominal = scope.objective(leg.objective())?.nominal_um_per_px;
-            let um_per_px = own.map_or(nominal, Calibration::um_per_px);
-            parcentric::keep_centre(scope, offset_um, um_per_px)?;
-        }
-        // The paper calibrates the target's objective again for the last leg, so that its error cancels; a joint calibration has none to speak of.
-        let known = |objective: &ObjectiveId| match self.options.servo.law {
-            Law::Direct => self.calibrations.contains_key(objective),
-            Law::Proportional => self.known.contains(objective),
-        };
-        if matches!(&leg, Leg::Servo(objective) if known(objective)) {
-            self.servo(scope, sink, leg);
-            return Ok(());
-        }
-        let calibrate = Calibrate::new(
-            scope.objective(leg.objective())?.clone(),
-            self.options.calibrate.clone(),
-            self.options.vision.clone(),
-        );
-        self.enter(scope, sink, Phase::Calibrate, &leg);
-        let work = Work::Calibrate(Box::new(calibrate));
-        self.state = State::Under { leg, work };
-        Ok(())
-    }
-
-    fn servo(&mut self, scope: &Instrument, sink: &mut dyn Sink, leg: Leg) {
-        self.enter(scope, sink, Phase::Servo, &leg);
-        let seen =
-            |d: &MagnificationResult| d.objective == *leg.objective() && d.end.result().is_some();
-        let first = !self.done.iter().any(seen);
-        let watch = std::mem::take(&mut self.watch).handed_over(first);
-        let work = Work::Servo(Box::new(Servo::after(watch)));
-        self.state = State::Under { leg, work };
-    }
-
-    fn calibrated(
-        &mut self,
-        scope: &Instrument,
-        sink: &mut dyn Sink,
-        (leg, calibration): (Leg, Calibration),
-        target: &Target,
-    ) {
-        self.calibrations
-            .insert(leg.objective().clone(), calibration);
-        match leg {
-            Leg::Servo(_) => self.servo(scope, sink, leg),
-            Leg::Calibrate(_) => {
-                if let Some(next) = self.policy().next(&self.so_far(scope, target)) {
-                    self.bring(scope, next);
-                }
-            }
-        }
-    }
+fn cannot_go_on(why: &str) -> ServoError {
+    ServoError::CannotGoOn(why.into())
 }
 
 impl Procedure for Reposition {

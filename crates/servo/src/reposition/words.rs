@@ -162,6 +162,15 @@ fn remark(remark: &Remark) -> String {
             "The calibration drifted: beside the target's objective the scale of {objective} is {:+.1} % off. Run `check` for both",
             100.0 * (factor - 1.0)
         ),
+        Remark::Blurred {
+            objective,
+            defocus_um,
+            sharpness,
+        } => format!(
+            "With {objective} the view is less sharp than the saved one, by as much as {defocus_um:.1} um of defocus make ({:.0} % of its fine \
+             detail). Focus by hand, and look for dirt or oil on the slide and the objective, and for vibration",
+            100.0 * sharpness
+        ),
         Remark::Tried { objective, attempt } => tried(objective, attempt),
         Remark::Contradicted { why, .. } => {
             let why = contradiction(*why);
@@ -190,6 +199,10 @@ fn tried(objective: &ObjectiveId, attempt: &Attempt) -> String {
         ),
         Attempt::DriftWaitedFor { um_per_s } => format!(
             "The view drifted by {um_per_s:.2} um per second with {objective}, and the run waited for it to rest"
+        ),
+        Attempt::FocusedAgain { defocus_um } => format!(
+            "With {objective} the view was less sharp than the saved one, by as much as {defocus_um:.1} um of defocus make, and the run looked for \
+             another height"
         ),
         Attempt::OtherSide => format!(
             "Moves with {objective} came no nearer, and from then on each axis went to its goal from below, which takes up its play. `calibrate` \

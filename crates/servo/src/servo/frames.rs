@@ -1,5 +1,6 @@
 //! What the loop's state takes from a frame: found and moved away from, lost, or to be looked at again.
 
+use super::blur::Blur;
 use super::criteria::Criteria;
 use super::promise::{Kept, Promise};
 use super::sight::{Located, Sight, View};
@@ -48,13 +49,33 @@ impl Servo {
         self.convergence.seen()
     }
 
-    pub(crate) fn found<'a>(&mut self, sight: Sight<'a>) -> Sight<'a> {
+    pub(crate) fn found<'a>(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        sight: Sight<'a>,
+    ) -> Result<Sight<'a>, ServoError> {
+        let objective = scope.objective(task.objective())?;
+        let um_per_px = task.target_calibration.um_per_px();
+        let blur = |seen| Blur::of(seen, um_per_px, objective);
+        self.blur = sight.sharpness().map(blur);
         let transform = &sight.located.estimate.target_from_view;
         if self.expected.found(transform.linear.rotation_angle()) {
             // The specimen turned meanwhile: that is no divergence.
             self.convergence.begin_anew();
         }
-        sight
+        Ok(sight)
+    }
+
+    /// How blurred the last frame was beside the target, where it was found and that could be told.
+    pub(crate) fn blur(&self) -> Option<&Blur> {
+        self.blur.as_ref()
+    }
+
+    /// The height was changed: no frame so far confirms the next one.
+    pub(crate) fn focused_again(&mut self) {
+        self.blur = None;
+        self.convergence.confirm_anew();
     }
 
     /// The stage is about to move.
@@ -151,6 +172,7 @@ impl Servo {
             reason: reason.clone(),
         };
         tell(scope, sink, event);
+        self.blur = None;
         let lost = self.expected.lost();
         let Some(end) = self.convergence.lose(task.options, lost, reason) else {
             return Ok(Progress::Continue);

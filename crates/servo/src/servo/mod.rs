@@ -4,6 +4,7 @@
 //! claimed by the image, on places that were seen to move with the specimen (`belief.rs`), and by frames far enough apart to see it drift.
 
 mod belief;
+pub(crate) mod blur;
 pub(crate) mod contradiction;
 mod convergence;
 mod criteria;
@@ -59,7 +60,7 @@ impl Servo {
         // Features, match and fit, homography, pose error and its covariance: Eqs. (7), (19), (20).
         let prior = self.expected.prior(task);
         let sight = match Sight::of(&view, task, scope, prior, present, &self.proof.fixed)? {
-            Ok(sight) => self.found(sight),
+            Ok(sight) => self.found(task, scope, sight)?,
             Err(reason) => return self.lost(task, scope, sink, &view, &reason),
         };
         // Control: Eq. (22).

@@ -4,7 +4,9 @@ use crate::{FixedPlaces, Law, Measurement, ServoTask};
 use scopeservo_features::{GrayImage, Mask};
 use scopeservo_geometry::Vec2;
 use scopeservo_registration::Estimate;
-use scopeservo_registration::pixels::{Abstained, Evidence, Pictures, Refined, refine, weigh};
+use scopeservo_registration::pixels::{
+    Abstained, Evidence, Pictures, Refined, Sharpness, refine, sharpness, weigh,
+};
 
 /// Side of a mask's cells, pixels.
 const CELL: usize = 8;
@@ -60,6 +62,11 @@ impl<'a> Pixels<'a> {
         measured: &Measurement,
     ) -> Option<Result<Refined, Abstained>> {
         (task.options.law == Law::Direct).then(|| refine(&self.pictures(), &measured.estimate))
+    }
+
+    /// How sharp the view is beside the target.
+    pub(super) fn sharpness(&self, estimate: &Estimate) -> Option<Sharpness> {
+        sharpness(&self.pictures(), &estimate.target_from_view)
     }
 
     /// Whether the pixels are evidence for a transform, those alone on which none of the features lies where there are enough.

@@ -43,6 +43,15 @@ pub enum Remark {
         /// The scale that was seen over the one that was expected.
         factor: f64,
     },
+    /// The view is less sharp than the saved one, by more than half a depth of field explains, and no other height was sharper.
+    Blurred {
+        /// The objective that was in.
+        objective: ObjectiveId,
+        /// So far from focus a view is as blurred, um.
+        defocus_um: f64,
+        /// Power of fine detail in the view over that in the saved one, beside what both have of coarser detail.
+        sharpness: f64,
+    },
     /// Something was tried where the run could not go on as it was.
     Tried {
         /// The objective that was in.

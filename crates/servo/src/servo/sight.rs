@@ -13,6 +13,7 @@ use crate::{
 };
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::Vec2;
+use scopeservo_registration::pixels::Sharpness;
 use scopeservo_registration::{Estimate, NotFound, Prior};
 use scopeservo_scope::{AxisRange, Frame, Instrument, StagePose};
 
@@ -109,6 +110,7 @@ impl<'a> Sight<'a> {
         if let Some(reason) = seen.contradiction() {
             return Err(reason);
         }
+        seen.sharpness = pixels.and_then(|pixels| pixels.sharpness(&estimate));
         let info = scope.gate().info();
         Ok(Self {
             view,
@@ -154,6 +156,11 @@ impl<'a> Sight<'a> {
             true => self.located.clone(),
             false => self.relocated(moved, task),
         }
+    }
+
+    /// How sharp the view is beside the target.
+    pub(crate) fn sharpness(&self) -> Option<&Sharpness> {
+        self.pixels.as_ref()?.sharpness.as_ref()
     }
 
     /// The middle of the view and of the target.

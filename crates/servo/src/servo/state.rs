@@ -1,5 +1,6 @@
 //! What a servo loop remembers from frame to frame.
 
+use super::blur::Blur;
 use super::convergence::Convergence;
 use super::expected::Expected;
 use super::watch::Watch;
@@ -24,4 +25,7 @@ pub struct Servo {
     /// The error where the target was last seen, before a move that lost it.
     #[serde(default)]
     pub(super) last_seen: Option<PoseError>,
+    /// How blurred the last frame was beside the target, where that could be told.
+    #[serde(default)]
+    pub(super) blur: Option<Blur>,
 }

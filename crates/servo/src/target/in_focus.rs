@@ -4,12 +4,9 @@ use crate::event::tell;
 use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::vision::{grab, gray};
 use crate::{Event, Focus, FocusOptions, FrameRole, ServoError, Sink, VisionOptions};
-use scopeservo_scope::{Axis, Instrument, Length, Objective, ObjectiveId, ScopeError};
+use scopeservo_scope::{Axis, Instrument, Length, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 
-/// It is looked so far above and below at least, um, and in widths of the finest level.
-const LOOKS_UM: f64 = 30.0;
-const LOOKS: f64 = 10.0;
 /// A view is blurred when the sharpest one nearby has this many times its features.
 const SHARPER: f64 = 1.25;
 
@@ -48,16 +45,6 @@ impl InFocus {
     fn features(&self, scope: &Instrument, sink: &mut dyn Sink) -> Result<usize, ServoError> {
         let frame = grab(scope, sink, FrameRole::Focus, &self.objective)?;
         Ok(self.vision.of_view(&gray(scope, &frame)?)?.len())
-    }
-
-    fn sweep(&self, objective: Objective) -> Focus {
-        let reach_um = LOOKS_UM.max(LOOKS * Focus::finest_width_um(&objective));
-        let bounded = FocusOptions {
-            half_range_um: self.options.half_range_um.min(reach_um),
-            nearest_um: self.options.nearest_um.min(reach_um),
-            ..self.options.clone()
-        };
-        Focus::new(objective, bounded).expecting_here()
     }
 
     /// The focus stands where it is sharpest. Ends there, or back where it began.
@@ -109,7 +96,10 @@ impl InFocus {
                 self.state = State::Focus {
                     start_um,
                     features: self.features(scope, sink)?,
-                    focus: Box::new(self.sweep(scope.objective(&self.objective)?.clone())),
+                    focus: Box::new(Focus::nearby(
+                        scope.objective(&self.objective)?.clone(),
+                        &self.options,
+                    )),
                 };
             }
             State::Focus {

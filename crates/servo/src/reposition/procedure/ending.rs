@@ -29,6 +29,18 @@ impl Reposition {
             self.done.pop();
             return Ok(None);
         }
+        if matches!(end, ServoEnd::Converged(_)) {
+            let seen = self.watch.remarks().len();
+            let before = self.remarks.len() - seen;
+            let told = self.remarks.split_off(before);
+            // The same loop goes on, and tells them when it ends.
+            if self.sharpens(scope, sink)? {
+                self.done.pop();
+                return Ok(None);
+            }
+            self.remarks.extend(told);
+            self.tells_blur(scope, sink);
+        }
         let so_far = self.so_far(scope, target);
         let next = || self.policy().next(&so_far);
         let handed_over = |d: &MagnificationResult| matches!(d.end, ServoEnd::HandedOver { .. });

@@ -170,6 +170,7 @@ fn names(answer: &Answer) -> Outcome<Vec<String>> {
                 ..
             } => drifted(scale.value, turned_deg.value, centre_mm.map(|k| k.value)).into(),
             Remark::Beside { .. } => "beside".into(),
+            Remark::Blurred { .. } => "blurred".into(),
             Remark::ScalesDisagree { .. } => "scales disagree".into(),
             Remark::Contradicted { why, .. } => format!("{why:?}"),
             Remark::Tried { attempt, .. } => format!("tried {attempt:?}"),
