@@ -7,6 +7,7 @@ use scopeservo_servo::{ErrorCode, Remedy, ServoError};
 use scopeservo_setup::SetupError;
 use scopeservo_slide::SlideError;
 use scopeservo_station::JobError;
+use scopeservo_workbench::OpenError;
 use serde::Serialize;
 use std::io;
 use std::path::PathBuf;
@@ -70,6 +71,15 @@ pub(crate) enum CliError {
 impl From<ScopeError> for CliError {
     fn from(error: ScopeError) -> Self {
         Self::Servo(error.into())
+    }
+}
+
+impl From<OpenError> for CliError {
+    fn from(error: OpenError) -> Self {
+        match error {
+            OpenError::Setup(error) => error.into(),
+            OpenError::Library(error) => error.into(),
+        }
     }
 }
 

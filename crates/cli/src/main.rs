@@ -24,7 +24,6 @@ mod hands;
 mod images;
 mod init;
 mod interview;
-mod journal;
 mod manual;
 mod nearby;
 mod open_instrument;

@@ -7,32 +7,27 @@ use crate::bar;
 use crate::beginning;
 use crate::console::{Console, Late, Told};
 use crate::error::{CliError, Code};
-use crate::journal::{self, Asked, FileJournal, Made};
 use crate::progress::Watcher;
-use scopeservo_library::{
-    CalibrationSets as _, Cameras as _, Folder, Journal as _, Journalled, Nosepieces as _, RunHead,
-    RunLog, Runs as _,
-};
-use scopeservo_scope::{CancelToken, GateEvent, Instrument, Length, ObjectiveId};
-use scopeservo_servo::{ErrorKind, Parcentric, SwitchingReport};
-use scopeservo_setup::{Config, Consent, Held, Opened, connect, home_if_needed};
+use scopeservo_scope::{CancelToken, Instrument};
+use scopeservo_servo::ErrorKind;
+use scopeservo_setup::{Config, Consent, home_if_needed};
 use scopeservo_station::{News, StationEvent, UseCase};
+use scopeservo_workbench::{Asked, Made, RunRecord, Workbench};
+use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// What a command works at.
 pub(crate) struct OpenInstrument {
-    pub(crate) config: Config,
-    pub(crate) library: Arc<Folder>,
-    pub(crate) scope: Arc<Instrument>,
-    pub(crate) drivers: Vec<(String, String)>,
     pub(crate) console: Console,
-    /// What is known of where its objectives look and focus beside each other.
-    pub(crate) switchings: Vec<SwitchingReport>,
-    /// The same by calibrations that were made together.
-    pub(crate) parcentric: Vec<Parcentric>,
-    journal: Arc<FileJournal>,
-    /// Let go last.
-    _held: Held,
+    bench: Workbench,
+}
+
+impl Deref for OpenInstrument {
+    type Target = Workbench;
+
+    fn deref(&self) -> &Workbench {
+        &self.bench
+    }
 }
 
 /// What Ctrl-C stops; nothing until an instrument is there.
@@ -113,8 +108,6 @@ impl OpenInstrument {
 
     fn connect(args: &InstrumentArgs, answer: &Answer) -> Result<(Self, Consent), CliError> {
         let config = Config::read(&args.description.config)?;
-        let held = Held::data(&config)?;
-        let library = Arc::new(Folder::new(config.resolve(&config.data_folder)));
         let cancel = CancelToken::new();
         let stop = stop_on_interrupt(&cancel, answer);
         let consent = Consent {
@@ -122,76 +115,20 @@ impl OpenInstrument {
             ask: Arc::new(asking::to_turn),
             ask_immersion: asking::about_immersion(args.immersion),
         };
-        let Opened {
-            instrument,
-            drivers,
-            ..
-        } = connect(&config, &consent, cancel)?;
-        let scope = Arc::new(instrument);
-        stop.hold(&scope);
-        // What lay on the camera when it was seen last.
-        let info = scope.camera().info();
-        let seen = library.shadows(&config.name, [info.width, info.height]);
-        scope.set_flat_field(answer.or_warn(seen).flatten().map(Arc::new));
-        let switchings = known_switchings(&config, &library, &scope, answer);
-        let set = answer.or_warn(library.calibration_set(&config.name));
-        let parcentric = set.flatten().map_or(Vec::new(), |kept| kept.set.parcentric);
-        let journal = Arc::new(FileJournal::new(&library, &config.name, &scope));
-        let goes = journal.clone();
-        let console = Console::new(&scope, journal.clone(), Late::LeftOut, move |record| {
-            if let News::Gate(GateEvent::MoveAsked { to }) = &record.news {
-                goes.goes(to);
-            }
+        let bench = Workbench::open(config, &consent, cancel, |unread| {
+            answer.or_warn::<()>(Err(unread));
         })?;
-        let opened = Self {
-            config,
-            library,
-            scope,
-            drivers,
-            console,
-            switchings,
-            parcentric,
-            journal,
-            _held: held,
-        };
-        Ok((opened, consent))
-    }
-
-    /// Whether stage or camera are simulated, by our own description or by what a driver calls them.
-    pub(crate) fn is_simulated(&self) -> bool {
-        let devices = &self.config.devices;
-        let described = [&devices.stage, &devices.camera].into_iter().any(|name| {
-            let driver = self.config.drivers.get(name);
-            driver.is_some_and(|driver| driver.twin.is_some())
-        });
-        let names = [
-            &self.scope.gate().info().name,
-            &self.scope.camera().info().name,
-        ];
-        let told = names
-            .iter()
-            .any(|name| name.to_lowercase().contains("simulated"));
-        described || told
-    }
-
-    /// What lies under a simulated microscope; nobody knows it of another.
-    pub(crate) fn specimen(&self) -> String {
-        let driver = self.config.drivers.get(&self.config.devices.camera);
-        let Some(twin) = driver.and_then(|driver| driver.twin.as_ref()) else {
-            return String::new();
-        };
-        match (&twin.specimen, &twin.made) {
-            (Some(file), _) => file.display().to_string(),
-            (None, Some(_)) => "a specimen made up as described".into(),
-            (None, None) => format!("procedural tissue, seed {}", twin.seed),
-        }
+        stop.hold(&bench.scope);
+        let journal = bench.journal.clone();
+        let console = Console::new(&bench.scope, journal, Late::LeftOut, bench.keeper())?;
+        Ok((Self { console, bench }, consent))
     }
 
     /// Whether nothing that was killed waits to go on; else an error tells where things stand.
     pub(crate) fn check_nothing_waits(&self) -> Result<(), CliError> {
-        match self.library.journal(&self.config.name)? {
+        match self.waits()? {
             None => Ok(()),
-            Some(left) => Err(CliError::Unfinished(journal::standing(&left, &self.scope))),
+            Some(standing) => Err(CliError::Unfinished(standing)),
         }
     }
 
@@ -202,16 +139,6 @@ impl OpenInstrument {
         }
     }
 
-    /// What a killed program left.
-    pub(crate) fn left(&self) -> Result<Option<Journalled>, CliError> {
-        Ok(self.library.journal(&self.config.name)?)
-    }
-
-    /// What a killed program left needs nothing more.
-    pub(crate) fn end_left(&self) -> Result<(), CliError> {
-        Ok(self.journal.close()?)
-    }
-
     /// Runs a job to its end, shows what it does, and keeps its record.
     pub(crate) fn run<U: UseCase>(
         &self,
@@ -220,20 +147,14 @@ impl OpenInstrument {
         watcher: &mut Watcher,
         answer: &Answer,
     ) -> Result<Ran<U::Output>, CliError> {
-        let head = RunHead {
-            job: case.kind().into(),
-            instrument: self.config.name.clone(),
-            version: format!("scopeservo {}", env!("CARGO_PKG_VERSION")),
-            inputs: asked.inputs.clone(),
-        };
-        self.journal.comes(case.kind(), asked);
-        let mut record = answer.or_warn(self.library.begin_run(&head));
+        let (mut record, lost) = self.record(case.kind(), asked);
+        if let Some(lost) = lost {
+            answer.or_warn::<()>(Err(lost));
+        }
         let output = self.console.follow(case, |told| {
             told.show(watcher);
             let Told::Event(news) = told else { return };
-            if let (Some(record), Ok(line)) = (&mut record, serde_json::to_string(&*news)) {
-                record.event(&line);
-            }
+            record.event(&news);
             if let News::Station(StationEvent::NotKept { why, .. }) = &news.news {
                 answer.warn(Code::NotKept, why);
             }
@@ -249,34 +170,10 @@ impl OpenInstrument {
         }
         Ok(Ran {
             output,
-            made: self.journal.made(),
+            made: record.made(),
             record,
-            journal: self.journal.clone(),
         })
     }
-}
-
-/// What was kept of the nosepiece, of objectives that it carries; the instrument learns how high they focus beside each other.
-fn known_switchings(
-    config: &Config,
-    library: &Folder,
-    scope: &Instrument,
-    answer: &Answer,
-) -> Vec<SwitchingReport> {
-    let kept = answer.or_warn(library.switchings(&config.name));
-    let kept = kept.into_iter().flatten();
-    let all = kept.filter_map(|kept| Some(answer.or_warn(kept)?.switching));
-    let there = |id: &ObjectiveId| scope.objective(id).is_ok();
-    let all: Vec<_> = all.filter(|s| there(&s.from) && there(&s.to)).collect();
-    for SwitchingReport {
-        from, to, focus, ..
-    } in &all
-    {
-        if let Some(focus) = focus {
-            scope.parfocal_known([from, to], Length::from_um(focus.offset_um.value));
-        }
-    }
-    all
 }
 
 /// What a job came to.
@@ -284,25 +181,19 @@ pub(crate) struct Ran<T> {
     pub(crate) output: Result<T, CliError>,
     /// What it made on the way, however it ended, and where that is kept.
     pub(crate) made: Vec<Made>,
-    record: Option<Box<dyn RunLog>>,
-    journal: Arc<FileJournal>,
+    record: RunRecord,
 }
 
 impl<T> Ran<T> {
-    /// Keeps the answer as it stands, and the page, with the record of the run. Only then the journal ends: whoever is killed before has the
-    /// answer given again.
-    pub(crate) fn end(mut self, page: Option<&str>, answer: &Answer) -> Result<T, CliError> {
-        if let Some(record) = &mut self.record {
-            if let Some(page) = page {
-                answer.or_warn(record.attach("report.html", page.as_bytes()));
-            }
-            let object = match &self.output {
-                Ok(_) => answer.object(),
-                Err(error) => answer.object_with(error),
-            };
-            answer.or_warn(record.end(&object));
+    /// Keeps the answer as it stands, and the page, with the record of the run.
+    pub(crate) fn end(self, page: Option<&str>, answer: &Answer) -> Result<T, CliError> {
+        let object = match &self.output {
+            Ok(_) => answer.object(),
+            Err(error) => answer.object_with(error),
+        };
+        for lost in self.record.end(page, &object) {
+            answer.or_warn::<()>(Err(lost));
         }
-        answer.or_warn(self.journal.close());
         self.output
     }
 }

@@ -1,12 +1,10 @@
 //! `scopeservo calibrate`.
 
-use super::calibration_of;
 use super::library_of;
 use super::report::{failure, work_page};
 use crate::answer::Answer;
 use crate::args::CalibrateArgs;
 use crate::error::{CliError, Code};
-use crate::journal::{Asked, Made};
 use crate::open_instrument::OpenInstrument;
 use crate::output::calibration as calibration_json;
 use crate::progress::Watcher;
@@ -18,6 +16,7 @@ use scopeservo_servo::{
     CalibrateOptions, Calibration, EXAMPLE_MOVE, Known, Parcentric, SwitchingReport,
 };
 use scopeservo_station::jobs::{CalibrateInput, CalibrateJob, CalibrateOutput, Whole};
+use scopeservo_workbench::{Asked, Made};
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
@@ -99,7 +98,7 @@ fn in_use(opened: &OpenInstrument) -> Vec<(String, Calibration)> {
     let size_px = [info.width, info.height];
     let objectives = opened.scope.gate().objectives().iter();
     // One that is damaged is replaced now, and was of no use.
-    let kept = objectives.filter_map(|o| calibration_of(opened, o).ok().flatten());
+    let kept = objectives.filter_map(|o| opened.calibration_of(o).ok().flatten());
     kept.filter(|k| k.calibration.image_size_px == size_px && k.instrument == opened.config.name)
         .map(|k| (k.made, k.calibration))
         .collect()

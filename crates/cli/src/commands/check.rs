@@ -1,17 +1,17 @@
 //! `scopeservo check`.
 
-use super::{calibration_of, known_calibrations};
+use super::known_calibrations;
 use crate::answer::Answer;
 use crate::args::CheckArgs;
 use crate::colour::{self, Hope};
 use crate::error::CliError;
-use crate::journal::Asked;
 use crate::open_instrument::OpenInstrument;
 use crate::output::{change_in_words, changes_in_words};
 use crate::progress::Watcher;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{Broken, Changing, SelfTestReport, SelfTestVerdict, Together};
 use scopeservo_station::jobs::{CheckInput, CheckJob, CheckOutput, Checked};
+use scopeservo_workbench::Asked;
 use serde_json::{Value, json};
 
 pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError> {
@@ -22,7 +22,7 @@ pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError>
     let wanted = |id: &ObjectiveId| named.is_empty() || named.contains(id);
     let mut is_damaged = false;
     for objective in opened.scope.gate().objectives() {
-        let kept = calibration_of(&opened, objective);
+        let kept = opened.calibration_of(objective);
         if kept.is_err() && wanted(&objective.id) {
             // One that was asked for by its name is the answer; else it does not keep the others away, and all are not good.
             if named.contains(&objective.id) {

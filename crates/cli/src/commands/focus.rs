@@ -4,13 +4,13 @@ use super::report::{failure, work_page};
 use crate::answer::Answer;
 use crate::args::FocusArgs;
 use crate::error::CliError;
-use crate::journal::Asked;
 use crate::open_instrument::OpenInstrument;
 use crate::progress::Watcher;
 use scopeservo_report::{Work, WorkEnd};
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::VisionOptions;
 use scopeservo_station::jobs::{FocusInput, FocusJob, FocusOutput};
+use scopeservo_workbench::Asked;
 use serde_json::json;
 use std::time::Instant;
 

@@ -4,13 +4,13 @@ use super::known_calibrations;
 use crate::answer::Answer;
 use crate::args::GridArgs;
 use crate::error::CliError;
-use crate::journal::Asked;
 use crate::open_instrument::OpenInstrument;
 use crate::progress::Watcher;
 use scopeservo_registration::Term;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{Compared, Comparison, GridOptions, GridReport, Known, Quantity};
 use scopeservo_station::jobs::{GridInput, GridJob, GridOutput};
+use scopeservo_workbench::Asked;
 use serde_json::json;
 
 pub(crate) fn grid(args: &GridArgs, answer: &Answer) -> Result<bool, CliError> {

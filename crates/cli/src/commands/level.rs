@@ -5,13 +5,13 @@ use super::report::{failure, work_page};
 use crate::answer::Answer;
 use crate::args::LevelArgs;
 use crate::error::CliError;
-use crate::journal::Asked;
 use crate::open_instrument::OpenInstrument;
 use crate::progress::Watcher;
 use scopeservo_report::{Work, WorkEnd};
 use scopeservo_scope::{ObjectiveId, PositiveZ};
 use scopeservo_servo::{Known, LevelOptions, LevelReport, Levelled, Tilt, TiltReport};
 use scopeservo_station::jobs::{LevelInput, LevelJob, LevelOutput};
+use scopeservo_workbench::Asked;
 use serde_json::json;
 use std::time::Instant;
 

@@ -23,8 +23,7 @@ use crate::answer::Answer;
 use crate::args::ConfigArgs;
 use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
-use scopeservo_library::{Calibrations as _, Folder, KeptCalibration, LibraryError};
-use scopeservo_scope::Objective;
+use scopeservo_library::Folder;
 use scopeservo_servo::Calibration;
 use scopeservo_setup::Config;
 
@@ -34,23 +33,9 @@ pub(crate) fn library_of(description: &ConfigArgs) -> Result<Folder, CliError> {
     Ok(Folder::new(config.resolve(&config.data_folder)))
 }
 
-/// The newest calibration of an objective, where it can be one of it on this stage.
-pub(crate) fn calibration_of(
-    opened: &OpenInstrument,
-    objective: &Objective,
-) -> Result<Option<KeptCalibration>, LibraryError> {
-    let ranges = opened.scope.gate().ranges();
-    opened.library.calibration(objective, ranges)
-}
-
 /// The calibrations that this instrument and camera made. One that is damaged is measured again on the way.
 fn known_calibrations(opened: &OpenInstrument, answer: &Answer) -> Vec<Calibration> {
-    let info = opened.scope.camera().info();
-    let size_px = [info.width, info.height];
-    let objectives = opened.scope.gate().objectives().iter();
-    let kept = objectives.filter_map(|o| answer.or_warn(calibration_of(opened, o)).flatten());
-    // Of another instrument or camera, or another mode of it, it is of no use.
-    kept.filter(|k| k.calibration.image_size_px == size_px && k.instrument == opened.config.name)
-        .map(|k| k.calibration)
-        .collect()
+    opened.known_calibrations(|unread| {
+        answer.or_warn::<()>(Err(unread));
+    })
 }

@@ -6,7 +6,6 @@ use crate::answer::Answer;
 use crate::args::RepositionArgs;
 use crate::colour;
 use crate::error::{CliError, Code};
-use crate::journal::Asked;
 use crate::open_instrument::{OpenInstrument, Ran};
 use crate::output;
 use crate::progress::Watcher;
@@ -19,6 +18,7 @@ use scopeservo_servo::{
 };
 use scopeservo_setup::Config;
 use scopeservo_station::jobs::{RepositionInput, RepositionJob, RepositionOutput};
+use scopeservo_workbench::Asked;
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;

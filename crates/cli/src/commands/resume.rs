@@ -5,12 +5,12 @@ use crate::answer::Answer;
 use crate::args::{AbandonArgs, ResumeArgs};
 use crate::commands::library_of;
 use crate::error::{CliError, Code};
-use crate::journal::{self, Asked};
 use crate::open_instrument::OpenInstrument;
 use crate::views::try_out;
 use scopeservo_library::{Folder, Journal as _, LibraryError, Targets as _};
 use scopeservo_setup::{Config, Held};
 use scopeservo_station::jobs::AnyJob;
+use scopeservo_workbench::{self as workbench, Asked};
 use serde_json::json;
 
 pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliError> {
@@ -27,15 +27,15 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
         return Err(CliError::Usage("another program went on with it".into()));
     };
     let cannot = |why: String| {
-        CliError::CannotResume(format!("{} cannot go on: {why}", journal::what(&left)))
+        CliError::CannotResume(format!("{} cannot go on: {why}", workbench::what(&left)))
     };
-    if let Some(why) = journal::contradiction(&left, &opened.scope) {
+    if let Some(why) = workbench::contradiction(&left, &opened.scope) {
         return Err(cannot(why));
     }
     say!(
         answer,
         "going on: {}",
-        journal::standing(&left, &opened.scope)
+        workbench::standing(&left, &opened.scope)
     );
     let asked = Asked {
         inputs: left.head.inputs.clone(),
@@ -87,7 +87,7 @@ pub(crate) fn abandon(args: &AbandonArgs, answer: &Answer) -> Result<bool, CliEr
         Err(damaged) => return set_aside(&library, &config.name, damaged, answer),
     };
     library.end_journal(&config.name)?;
-    let what = left.as_ref().map(journal::what);
+    let what = left.as_ref().map(workbench::what);
     answer.put(json!({"abandoned": what}));
     match what {
         Some(what) => say!(

@@ -4,7 +4,6 @@ use super::{known_calibrations, library_of};
 use crate::answer::Answer;
 use crate::args::TargetSaveArgs;
 use crate::error::{CliError, Code};
-use crate::journal::Asked;
 use crate::open_instrument::OpenInstrument;
 use crate::output;
 use crate::progress::Watcher;
@@ -12,6 +11,7 @@ use scopeservo_library::Targets as _;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{Event, Target, VisionOptions};
 use scopeservo_station::jobs::{SaveTargetInput, SaveTargetJob, SaveTargetOutput};
+use scopeservo_workbench::Asked;
 use serde_json::json;
 
 pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool, CliError> {

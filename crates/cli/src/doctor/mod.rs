@@ -5,7 +5,6 @@ mod words;
 use crate::answer::Answer;
 use crate::args::DoctorArgs;
 use crate::colour::{self, Hope};
-use crate::commands::calibration_of;
 use crate::console::Told;
 use crate::error::{CliError, Code, shell};
 use crate::open_instrument::OpenInstrument;
@@ -148,7 +147,7 @@ fn kept(opened: &OpenInstrument, findings: &mut Findings<'_>) {
             .map_err(|e| e.to_string()),
     );
     for objective in objectives {
-        let found = match calibration_of(opened, objective) {
+        let found = match opened.calibration_of(objective) {
             Ok(Some(kept)) => Ok(format!(
                 "{:.4} um per pixel, made {}",
                 kept.calibration.um_per_px(),

@@ -13,23 +13,26 @@ use std::time::SystemTime;
 
 /// What a job is asked, as its record and its journal have it.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Asked {
-    pub(crate) inputs: Value,
+pub struct Asked {
+    /// What it is asked to do.
+    pub inputs: Value,
     /// Name and id of the target that it refers to.
-    pub(crate) target: Option<[String; 2]>,
+    pub target: Option<[String; 2]>,
     /// It goes on: what is kept of it stays until its next step replaces it.
-    pub(crate) resumed: bool,
+    pub resumed: bool,
 }
 
 /// A calibration that a job made, and where it is kept.
 #[derive(Debug, Clone)]
-pub(crate) struct Made {
-    pub(crate) calibration: MadeCalibration,
-    pub(crate) file: Option<PathBuf>,
+pub struct Made {
+    /// The calibration.
+    pub calibration: MadeCalibration,
+    /// Where it is kept, if it could be.
+    pub file: Option<PathBuf>,
 }
 
 /// Keeps what a station's jobs are at in a library.
-pub(crate) struct FileJournal {
+pub struct FileJournal {
     library: Arc<Folder>,
     instrument: String,
     scope: Weak<Instrument>,
@@ -48,7 +51,8 @@ struct AtWork {
 }
 
 impl FileJournal {
-    pub(crate) fn new(library: &Arc<Folder>, instrument: &str, scope: &Arc<Instrument>) -> Self {
+    /// The journal of an instrument of that name.
+    pub fn new(library: &Arc<Folder>, instrument: &str, scope: &Arc<Instrument>) -> Self {
         Self {
             library: library.clone(),
             instrument: instrument.into(),
@@ -62,7 +66,7 @@ impl FileJournal {
     }
 
     /// The job that is started next.
-    pub(crate) fn comes(&self, job: &str, asked: Asked) {
+    pub fn comes(&self, job: &str, asked: Asked) {
         let head = (!asked.resumed).then(|| JournalHead {
             job: job.into(),
             began: utc(SystemTime::now()),
@@ -76,17 +80,17 @@ impl FileJournal {
     }
 
     /// The job's answer is kept, or there is none: it will not go on.
-    pub(crate) fn close(&self) -> Result<(), LibraryError> {
+    pub fn close(&self) -> Result<(), LibraryError> {
         self.library.end_journal(&self.instrument)
     }
 
     /// What the job made so far.
-    pub(crate) fn made(&self) -> Vec<Made> {
+    pub fn made(&self) -> Vec<Made> {
         self.at_work().made.clone()
     }
 
     /// Why the job had no journal, when it had none.
-    pub(crate) fn lost(&self) -> Option<String> {
+    pub fn lost(&self) -> Option<String> {
         self.at_work().lost.take()
     }
 
@@ -115,7 +119,7 @@ impl FileJournal {
     }
 
     /// The stage is about to be sent there.
-    pub(crate) fn goes(&self, to: &StagePose) {
+    pub fn goes(&self, to: &StagePose) {
         if self.at_work().begun {
             // The step that moves was kept; a goal that is missing makes a resume refuse, and no more.
             let _ = self.library.journal_goal(&self.instrument, to);
@@ -195,7 +199,7 @@ impl Journal for FileJournal {
 }
 
 /// What was under way, for people.
-pub(crate) fn what(left: &Journalled) -> String {
+pub fn what(left: &Journalled) -> String {
     let job = left.head.job.replace('_', " ");
     let of = match &left.head.target {
         Some([name, _]) => format!("{job} of {name}"),
@@ -210,7 +214,7 @@ pub(crate) fn what(left: &Journalled) -> String {
 }
 
 /// Where things stand: what was under way, where the stage should be and where it says it is.
-pub(crate) fn standing(left: &Journalled, scope: &Instrument) -> String {
+pub fn standing(left: &Journalled, scope: &Instrument) -> String {
     let should = match &left.step {
         None => "nothing had moved for it".to_owned(),
         Some(step) => match left.goals.last() {
@@ -246,7 +250,7 @@ fn short(pose: &StagePose) -> String {
 }
 
 /// Why the job cannot go on from where the stage is now; `None` when it can.
-pub(crate) fn contradiction(left: &Journalled, scope: &Instrument) -> Option<String> {
+pub fn contradiction(left: &Journalled, scope: &Instrument) -> Option<String> {
     let step = left.step.as_ref()?;
     let gate = scope.gate();
     let now = match gate.position() {

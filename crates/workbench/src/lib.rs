@@ -1,0 +1,15 @@
+//! An instrument opened from its description, with what its library knows of it: where every front end works, be it a terminal or a server.
+//!
+//! A [`Workbench`] is the open instrument; [`FileJournal`] keeps what its jobs are at, a [`RunRecord`] what they told and answered. How that
+//! is shown is the front end's.
+
+#![warn(clippy::too_many_lines)]
+
+mod journal;
+mod known;
+mod record;
+mod workbench;
+
+pub use journal::{Asked, FileJournal, Made, contradiction, standing, what};
+pub use record::RunRecord;
+pub use workbench::{OpenError, Workbench};
