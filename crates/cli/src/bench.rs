@@ -2,7 +2,7 @@
 
 use crate::answer::Answer;
 use crate::args::{DemoArgs, Noise};
-use crate::console::{Console, Late, Told};
+use crate::console::{Console, hand_on};
 use crate::error::CliError;
 use crate::open_instrument::stop_on_interrupt;
 use crate::progress::Watcher;
@@ -15,6 +15,7 @@ use scopeservo_station::jobs::{SaveTargetInput, SaveTargetJob, SaveTargetOutput}
 use scopeservo_station::{JobError, MemoryJournal, News, UseCase, Work};
 use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
 use scopeservo_twin::{Config, Truth, Twin};
+use scopeservo_workbench::{Late, Told};
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -105,7 +106,7 @@ pub(crate) fn save_target(
     // Of the saving, the report shows the target: the sweep and the step aside are not part of the run that it tells of.
     let saved = bench.console.follow(save, |told| {
         if is_of_the_target(&told) {
-            told.show(watcher);
+            hand_on(&told, watcher);
         }
     })?;
     let SaveTargetOutput { target, frame, .. } = match saved {

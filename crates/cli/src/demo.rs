@@ -4,6 +4,7 @@ use crate::answer::Answer;
 use crate::args::{DemoArgs, Noise};
 use crate::bench::{Bench, displace, save_target};
 use crate::colour;
+use crate::console::hand_on;
 use crate::error::CliError;
 use crate::output::{self, DemoJson};
 use crate::progress::Watcher;
@@ -131,7 +132,9 @@ fn drive(
                 ..RepositionInput::default()
             };
             let job = RepositionJob::new(target, input);
-            let output = bench.console.follow(job, |told| told.show(watcher))??;
+            let output = bench
+                .console
+                .follow(job, |told| hand_on(&told, watcher))??;
             (output.outcome, Some(truth))
         }
         Err(error) => (nothing_to_save(&error, scope, watcher), None),

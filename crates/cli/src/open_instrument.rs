@@ -5,14 +5,14 @@ use crate::args::InstrumentArgs;
 use crate::asking;
 use crate::bar;
 use crate::beginning;
-use crate::console::{Console, Late, Told};
+use crate::console::{Console, hand_on};
 use crate::error::{CliError, Code};
 use crate::progress::Watcher;
 use scopeservo_scope::{CancelToken, Instrument};
 use scopeservo_servo::ErrorKind;
 use scopeservo_setup::{Config, Consent, home_if_needed};
 use scopeservo_station::{News, StationEvent, UseCase};
-use scopeservo_workbench::{Asked, Made, RunRecord, Workbench};
+use scopeservo_workbench::{Asked, Late, Made, RunRecord, Told, Workbench};
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
@@ -152,7 +152,7 @@ impl OpenInstrument {
             answer.or_warn::<()>(Err(lost));
         }
         let output = self.console.follow(case, |told| {
-            told.show(watcher);
+            hand_on(&told, watcher);
             let Told::Event(news) = told else { return };
             record.event(&news);
             if let News::Station(StationEvent::NotKept { why, .. }) = &news.news {

@@ -5,11 +5,13 @@
 
 #![warn(clippy::too_many_lines)]
 
+mod console;
 mod journal;
 mod known;
 mod record;
 mod workbench;
 
+pub use console::{Console, Late, Told};
 pub use journal::{Asked, FileJournal, Made, contradiction, standing, what};
 pub use record::RunRecord;
 pub use workbench::{OpenError, Workbench};

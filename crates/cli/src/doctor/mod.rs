@@ -5,13 +5,13 @@ mod words;
 use crate::answer::Answer;
 use crate::args::DoctorArgs;
 use crate::colour::{self, Hope};
-use crate::console::Told;
 use crate::error::{CliError, Code, shell};
 use crate::open_instrument::OpenInstrument;
 use scopeservo_library::{Calibrations as _, Targets as _};
 use scopeservo_scope::conformance;
 use scopeservo_station::jobs::{self as found, Check, DoctorInput, DoctorJob};
 use scopeservo_station::{News, StationEvent};
+use scopeservo_workbench::Told;
 use serde::Serialize;
 use serde_json::json;
 
