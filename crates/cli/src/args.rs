@@ -3,12 +3,16 @@
 mod common;
 mod hands;
 mod moving;
+#[cfg(feature = "serve")]
+mod serve;
 mod target;
 mod twin;
 mod work;
 
 pub(crate) use common::*;
 pub(crate) use hands::*;
+#[cfg(feature = "serve")]
+pub(crate) use serve::*;
 pub(crate) use target::*;
 pub(crate) use twin::*;
 pub(crate) use work::*;
@@ -70,6 +74,9 @@ pub(crate) enum Command {
     Target(TargetCommand),
     /// Bring the instrument back to a saved view.
     Reposition(RepositionArgs),
+    /// A page to work at, and an interface for programs: the instrument at an address of this computer.
+    #[cfg(feature = "serve")]
+    Serve(ServeArgs),
     /// Go on with the job that was under way when the program was killed.
     Resume(ResumeArgs),
     /// End the job that was under way when the program was killed.
@@ -119,6 +126,8 @@ impl Command {
             Self::Target(TargetCommand::Import(args)) => args.kept.answer.json,
             Self::Reposition(args) => args.answer.json,
             Self::Driver(DriverCommand::Check(args)) => args.answer.json,
+            #[cfg(feature = "serve")]
+            Self::Serve(_) => false,
             Self::Init(_) | Self::Twin(_) | Self::Completions(_) | Self::Man(_) => false,
         }
     }

@@ -32,6 +32,8 @@ mod patient_clock;
 mod progress;
 mod register;
 mod scene;
+#[cfg(feature = "serve")]
+mod serve;
 mod stage;
 mod targets;
 mod threads;
@@ -99,6 +101,8 @@ fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
         Command::Target(TargetCommand::Export(args)) => targets::export_target(&args, answer),
         Command::Target(TargetCommand::Import(args)) => targets::import_target(&args, answer),
         Command::Reposition(args) => commands::reposition(&args, answer),
+        #[cfg(feature = "serve")]
+        Command::Serve(args) => serve::run(&args, answer),
         Command::Resume(args) => commands::resume(&args, answer),
         Command::Abandon(args) => commands::abandon(&args, answer),
         Command::Driver(DriverCommand::Check(args)) => driver_check::run(&args, answer),

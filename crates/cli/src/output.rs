@@ -31,13 +31,7 @@ pub(crate) fn command_line() -> String {
 
 /// Now, for people: 2026-11-24 20:15 UTC.
 pub(crate) fn date() -> String {
-    readable(&scopeservo_library::utc(std::time::SystemTime::now()))
-}
-
-/// A moment as files have it, 2026-11-24T20:15:00Z, for people.
-pub(crate) fn readable(utc: &str) -> String {
-    let minute = utc.get(..16).map(|t| t.replace('T', " "));
-    minute.map_or_else(|| utc.into(), |t| format!("{t} UTC"))
+    scopeservo_workbench::readable(&scopeservo_library::utc(std::time::SystemTime::now()))
 }
 
 /// A number of so many decimals, without a sign of nothing.

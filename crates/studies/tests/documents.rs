@@ -83,17 +83,21 @@ const ALLOWED: [(&str, &[&str]); 19] = [
     ),
     (
         "workbench",
-        &["library", "scope", "servo", "setup", "station", "twin"],
+        &[
+            "library", "report", "scope", "servo", "setup", "station", "twin",
+        ],
     ),
     (
         "server",
         &[
             "files",
             "library",
+            "protocol",
             "report",
             "scope",
             "servo",
             "setup",
+            "slide",
             "station",
             "workbench",
         ],

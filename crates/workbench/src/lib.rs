@@ -8,10 +8,12 @@
 mod console;
 mod journal;
 mod known;
+mod page;
 mod record;
 mod workbench;
 
 pub use console::{Console, Late, Told};
 pub use journal::{Asked, FileJournal, Made, contradiction, standing, what};
+pub use page::readable;
 pub use record::RunRecord;
 pub use workbench::{OpenError, Workbench};

@@ -1,0 +1,88 @@
+//! `scopeservo serve`: the instrument at an address, until Ctrl-C.
+
+use crate::answer::Answer;
+use crate::args::ServeArgs;
+use crate::bar;
+use crate::error::{CliError, Code};
+use crate::open_instrument::stop_on_interrupt;
+use scopeservo_scope::CancelToken;
+use scopeservo_server::{Before, Server, Settings};
+use scopeservo_setup::{Config, Consent, home_if_needed};
+use scopeservo_workbench::Workbench;
+use std::time::Duration;
+use tempfile::TempDir;
+
+/// The demonstration's instrument: the place under its view has tissue to look at.
+const DEMO: &str = r#"name = "simulated microscope"
+
+[drivers.twin.twin]
+seed = 1
+real_time = true
+centre_um = [0, 0]
+
+[devices]
+stage = "twin"
+camera = "twin"
+nosepiece = "twin"
+light = "twin"
+
+[limits]
+x_um = [-4000, 4000]
+y_um = [-4000, 4000]
+z_um = [-2000, 300]
+
+[camera]
+exposure_ms = 10
+"#;
+
+/// How often one who serves looks whether it is to end.
+const LOOK: Duration = Duration::from_millis(50);
+
+pub(crate) fn run(args: &ServeArgs, answer: &Answer) -> Result<bool, CliError> {
+    // A demonstration lies in a folder that goes with the program.
+    let (config, demo) = match args.demo {
+        true => {
+            let folder = TempDir::new().map_err(|e| CliError::Internal(e.to_string()))?;
+            let path = folder.path().join("scopeservo.toml");
+            (Config::parse(DEMO, &path)?, Some(folder))
+        }
+        false => (Config::read(&args.instrument.description.config)?, None),
+    };
+    let data = config.resolve(&config.data_folder);
+    let settings = Settings {
+        listen: args.listen,
+        names: args.name.clone(),
+        demo: args.demo,
+        folder: data.join("server"),
+    };
+    let before = Before::default();
+    let consent = Consent {
+        home: args.instrument.home,
+        ask: before.questions.asker(),
+        ask_immersion: before.questions.immersion_asker(),
+    };
+    let cancel = CancelToken::new();
+    let stop = stop_on_interrupt(&cancel, answer);
+    let shown = bar::spinner("opening the instrument".into());
+    let bench = Workbench::open(config, &consent, cancel.clone(), |unread| {
+        answer.or_warn::<()>(Err(unread));
+    });
+    shown.finish_and_clear();
+    let bench = bench?;
+    stop.hold(&bench.scope);
+    home_if_needed(&bench.scope, &consent)?;
+    if let Some(waits) = bench.waits()? {
+        answer.warn(Code::Unfinished, waits);
+    }
+    let server = Server::start(bench, before, &settings)
+        .map_err(|error| CliError::Usage(error.to_string()))?;
+    say!(answer, "open {}", server.link());
+    say!(answer, "Ctrl-C ends it");
+    while !cancel.is_cancelled() {
+        std::thread::sleep(LOOK);
+    }
+    drop(server);
+    drop(demo);
+    say!(answer, "ended: nothing moves");
+    Ok(true)
+}

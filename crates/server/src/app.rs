@@ -1,0 +1,97 @@
+//! What all connections share.
+
+use crate::audit::Audit;
+use crate::desk::Desk;
+use crate::error::ApiError;
+use crate::guard::Names;
+use crate::live::Live;
+use crate::people::People;
+use crate::seat::Seat;
+use crate::standing::Standing;
+use axum::http::StatusCode;
+use scopeservo_scope::ObjectiveId;
+use scopeservo_workbench::{Console, Workbench};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+
+/// The server's state.
+pub(crate) struct App {
+    pub(crate) bench: Arc<Workbench>,
+    pub(crate) console: Console,
+    pub(crate) desk: Desk,
+    pub(crate) seat: Seat,
+    pub(crate) people: People,
+    pub(crate) audit: Audit,
+    pub(crate) live: Live,
+    /// How things stand, renewed several times a second.
+    pub(crate) standing: watch::Sender<Arc<Standing>>,
+    /// The number of the event that comes next.
+    pub(crate) events: watch::Sender<u64>,
+    /// What lies on the stage, as somebody said.
+    pub(crate) slide: Mutex<Option<String>>,
+    /// Objectives that are calibrated, with the size of a pixel, um.
+    pub(crate) calibrated: Mutex<BTreeMap<ObjectiveId, f64>>,
+    /// By which names browsers may know us.
+    pub(crate) names: Names,
+    /// A demonstration, whose slide can be taken out and put back.
+    pub(crate) demo: Option<Demo>,
+    /// Connections that last.
+    pub(crate) sockets: Arc<Semaphore>,
+    /// The server ends.
+    pub(crate) ends: AtomicBool,
+}
+
+/// What is there of a demonstration beside its instrument.
+pub(crate) struct Demo {
+    /// Whether the slide lies where it lay at first.
+    pub(crate) is_moved: AtomicBool,
+    /// How often it was taken out.
+    pub(crate) times: Mutex<u64>,
+}
+
+/// Each slide is put back up to so far from where it lay, um, and turned by up to so much, deg.
+const SHIFT_UM: f64 = 90.0;
+const TURN_DEG: f64 = 6.0;
+
+impl App {
+    /// A place for one more connection that lasts.
+    ///
+    /// # Errors
+    /// `too_many`.
+    pub(crate) fn socket_place(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        let place = self.sockets.clone().try_acquire_owned();
+        place.map_err(|_| {
+            let message = "too many connections: close some";
+            ApiError::new(StatusCode::SERVICE_UNAVAILABLE, "too_many", message)
+        })
+    }
+
+    /// The demonstration's slide is taken out and put back, a little elsewhere and turned.
+    ///
+    /// # Errors
+    /// `no_demo`, on a real instrument.
+    pub(crate) fn move_demo_slide(&self) -> Result<(), ApiError> {
+        let (Some(demo), Some(twin)) = (&self.demo, &self.bench.twin) else {
+            let message = "only a demonstration's slide is moved by a button";
+            return Err(ApiError::conflict("no_demo", message));
+        };
+        let mut times = crate::lock(&demo.times);
+        *times += 1;
+        // Each time elsewhere, and the same ones in the same order.
+        let turn = 2.4 * *times as f64;
+        let (s, c) = turn.sin_cos();
+        let info = self.bench.scope.camera().info();
+        let middle = [info.width, info.height].map(|n| (n as f64 - 1.0) / 2.0);
+        let about_um = twin.truth_now().specimen(middle);
+        twin.remount(
+            about_um,
+            [SHIFT_UM * c, SHIFT_UM * s],
+            TURN_DEG * (turn * 0.7).sin(),
+            false,
+        );
+        demo.is_moved.store(true, Ordering::SeqCst);
+        Ok(())
+    }
+}

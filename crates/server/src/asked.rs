@@ -1,0 +1,380 @@
+//! What may be asked of the desk: from the body of a request to a job, with what is known of the instrument.
+
+use crate::error::ApiError;
+use crate::hand::Hand;
+use crate::jog::{Hold, Jog, Map};
+use scopeservo_library::Targets as _;
+use scopeservo_protocol::Place;
+use scopeservo_scope::ObjectiveId;
+use scopeservo_servo::Progress;
+use scopeservo_servo::{
+    Calibration, FocusOptions, RepositionOptions, ServoOptions, Target, VisionOptions,
+};
+use scopeservo_station::jobs::{
+    Answer, AnyJob, CalibrateInput, CheckInput, DoctorInput, FocusInput, RepositionInput, Request,
+    SaveTargetInput,
+};
+use scopeservo_station::{JobError, UseCase, Work};
+use scopeservo_workbench::{Asked, Workbench, contradiction, what};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+/// The body of `POST /jobs`.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(tag = "job", rename_all = "snake_case", deny_unknown_fields)]
+pub(crate) enum JobRequest {
+    Move {
+        #[serde(default)]
+        to: Option<Place>,
+        #[serde(default)]
+        by: Option<Place>,
+    },
+    Centre {
+        x: f64,
+        y: f64,
+    },
+    Objective {
+        objective: String,
+    },
+    Home {},
+    Focus {
+        #[serde(default)]
+        range_um: Option<f64>,
+    },
+    Calibrate {
+        #[serde(default)]
+        objectives: Vec<String>,
+    },
+    Check {},
+    Doctor {
+        #[serde(default)]
+        allow_motion: bool,
+    },
+    SaveTarget {
+        name: String,
+        #[serde(default)]
+        focus: bool,
+        #[serde(default)]
+        note: String,
+    },
+    Reposition {
+        target: String,
+    },
+    Resume {},
+}
+
+/// A job of any kind that the desk does.
+#[derive(Serialize)]
+#[serde(untagged)]
+pub(crate) enum Case {
+    Any(Box<AnyJob>),
+    Hand(Hand),
+    Jog(Jog),
+}
+
+impl UseCase for Case {
+    /// Nothing of a step by hand.
+    type Output = Option<Box<Answer>>;
+
+    fn kind(&self) -> &'static str {
+        match self {
+            Self::Any(job) => job.kind(),
+            Self::Hand(hand) => hand.kind(),
+            Self::Jog(jog) => jog.kind(),
+        }
+    }
+
+    fn can_go_on(&self) -> bool {
+        match self {
+            Self::Any(job) => job.can_go_on(),
+            Self::Hand(hand) => hand.can_go_on(),
+            Self::Jog(jog) => jog.can_go_on(),
+        }
+    }
+
+    fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<Self::Output>, JobError> {
+        let done = |progress| match progress {
+            Progress::Done(()) => Progress::Done(None),
+            Progress::Continue => Progress::Continue,
+        };
+        Ok(match self {
+            Self::Hand(hand) => done(hand.step(work)?),
+            Self::Jog(jog) => done(jog.step(work)?),
+            Self::Any(job) => match job.step(work)? {
+                Progress::Continue => Progress::Continue,
+                Progress::Done(answer) => Progress::Done(Some(Box::new(answer))),
+            },
+        })
+    }
+}
+
+/// A job and all that the desk must know of it.
+pub(crate) struct Wish {
+    pub(crate) case: Case,
+    /// What it is about, for people: the name of a target.
+    pub(crate) about: Option<String>,
+    /// As its record has it; of single steps there is none.
+    pub(crate) asked: Option<Asked>,
+}
+
+impl Wish {
+    fn by_hand(hand: Hand) -> Self {
+        Self {
+            case: Case::Hand(hand),
+            about: None,
+            asked: None,
+        }
+    }
+
+    /// Held to move.
+    pub(crate) fn jog(bench: &Workbench, hold: Hold) -> Self {
+        let map = match in_view(bench) {
+            Ok(calibration) => Map::Calibrated(Box::new(calibration)),
+            Err(_) => Map::ByAxes(nominal_um_per_px(bench)),
+        };
+        Self {
+            case: Case::Jog(Jog::new(hold, map)),
+            about: None,
+            asked: None,
+        }
+    }
+
+    fn job(request: Request, about: Option<String>, inputs: Value) -> Result<Self, ApiError> {
+        let no_target = |_: &str| Err(ApiError::fault("the request names no target"));
+        Ok(Self {
+            case: Case::Any(Box::new(AnyJob::new(request, no_target)?)),
+            about,
+            asked: Some(Asked {
+                inputs,
+                ..Asked::default()
+            }),
+        })
+    }
+
+    /// What the request asks for.
+    pub(crate) fn of(bench: &Workbench, request: JobRequest) -> Result<Self, ApiError> {
+        match request {
+            JobRequest::Move { to, by } => go(to, by),
+            JobRequest::Centre { x, y } => centre(bench, [x, y]),
+            JobRequest::Objective { objective } => {
+                let id = ObjectiveId(objective);
+                bench.scope.objective(&id)?;
+                Ok(Self::by_hand(Hand::Objective(id)))
+            }
+            JobRequest::Home {} => Ok(Self::by_hand(Hand::Home)),
+            JobRequest::Focus { range_um } => {
+                let input = FocusInput {
+                    focus: focusing(range_um)?,
+                    ..FocusInput::default()
+                };
+                let inputs = json!(input);
+                Self::job(Request::Focus(input), None, inputs)
+            }
+            JobRequest::Calibrate { objectives } => calibrate(bench, objectives),
+            JobRequest::Check {} => {
+                let input = CheckInput {
+                    calibrations: bench.known_calibrations(|_| {}),
+                    ..CheckInput::default()
+                };
+                if input.calibrations.is_empty() {
+                    let message = "no objective is calibrated: calibrate first";
+                    return Err(ApiError::conflict("no_calibration", message));
+                }
+                let inputs = json!(input);
+                Self::job(Request::Check(input), None, inputs)
+            }
+            JobRequest::Doctor { allow_motion } => {
+                let input = DoctorInput { allow_motion };
+                Self::job(Request::Doctor(input), None, json!(input))
+            }
+            JobRequest::SaveTarget { name, focus, note } => save(bench, name, focus, &note),
+            JobRequest::Reposition { target } => reposition(bench, target),
+            JobRequest::Resume {} => resume(bench),
+        }
+    }
+}
+
+fn is_finite(place: &Place) -> bool {
+    let all = [
+        place.x_um,
+        place.y_um,
+        place.z_um,
+        place.rx_deg,
+        place.ry_deg,
+        place.rz_deg,
+    ];
+    all.iter().flatten().all(|v| v.is_finite()) && all.iter().any(Option::is_some)
+}
+
+fn go(to: Option<Place>, by: Option<Place>) -> Result<Wish, ApiError> {
+    let hand = match (to, by) {
+        (Some(to), None) if is_finite(&to) => Hand::Go(to),
+        (None, Some(by)) if is_finite(&by) => Hand::Shift(by),
+        _ => {
+            let message = "a move goes `to` a place or `by` so much: give one of them, with an axis in it, like {\"job\":\"move\",\"by\":{\"x_um\":10}}";
+            return Err(ApiError::input(message));
+        }
+    };
+    Ok(Wish::by_hand(hand))
+}
+
+/// The calibration of the objective that is in, where this camera made one.
+pub(crate) fn in_view(bench: &Workbench) -> Result<Calibration, ApiError> {
+    let id = bench.scope.gate().current_objective()?;
+    let uncalibrated = || {
+        let which = id
+            .as_ref()
+            .map_or("the objective".into(), |id| id.to_string());
+        let message = format!(
+            "{which} is not calibrated, so nobody knows where in the view that is: calibrate it first"
+        );
+        ApiError::conflict("no_calibration", message)
+    };
+    let known = bench.known_calibrations(|_| {});
+    let own = known
+        .into_iter()
+        .find(|c| Some(&c.objective) == id.as_ref());
+    own.ok_or_else(uncalibrated)
+}
+
+fn nominal_um_per_px(bench: &Workbench) -> f64 {
+    let gate = bench.scope.gate();
+    let id = gate.current_objective().ok().flatten();
+    let objective = id.and_then(|id| gate.objective(&id).ok());
+    objective.map_or(1.0, |o| o.nominal_um_per_px)
+}
+
+fn centre(bench: &Workbench, share: [f64; 2]) -> Result<Wish, ApiError> {
+    if !share.iter().all(|v| (0.0..=1.0).contains(v)) {
+        let message = "x and y are shares of the view's width and height, from 0 to 1";
+        return Err(ApiError::input(message));
+    }
+    let calibration = in_view(bench)?;
+    let info = bench.scope.camera().info();
+    let size = [info.width, info.height];
+    let pixels = [0, 1].map(|k| (share[k] - 0.5) * (size[k] as f64 - 1.0));
+    Ok(Wish::by_hand(Hand::Centre(pixels, Box::new(calibration))))
+}
+
+fn focusing(range_um: Option<f64>) -> Result<FocusOptions, ApiError> {
+    let usual = FocusOptions::default();
+    match range_um {
+        None => Ok(usual),
+        Some(um) if (1.0..=1e4).contains(&um) => Ok(FocusOptions {
+            half_range_um: um,
+            nearest_um: usual.nearest_um.min(um),
+            ..usual
+        }),
+        Some(_) => Err(ApiError::input("range_um is from 1 to 10000")),
+    }
+}
+
+fn calibrate(bench: &Workbench, objectives: Vec<String>) -> Result<Wish, ApiError> {
+    let objectives: Vec<_> = objectives.into_iter().map(ObjectiveId).collect();
+    for named in &objectives {
+        bench.scope.objective(named)?;
+    }
+    let input = CalibrateInput {
+        objectives,
+        ..CalibrateInput::default()
+    };
+    let inputs = json!(input);
+    Wish::job(Request::Calibrate(input), None, inputs)
+}
+
+fn save(bench: &Workbench, name: String, focus: bool, note: &str) -> Result<Wish, ApiError> {
+    bench.library.check_new_target(&name)?;
+    let input = SaveTargetInput {
+        focus: focus.then(FocusOptions::default),
+        still: bench.config.target.still,
+        known: bench.known_calibrations(|_| {}),
+        vision: VisionOptions::default(),
+        ..SaveTargetInput::default()
+    };
+    let inputs = json!({"name": name, "note": note, "input": input});
+    Wish::job(Request::SaveTarget(input), Some(name), inputs)
+}
+
+fn reposition(bench: &Workbench, name: String) -> Result<Wish, ApiError> {
+    let kept = bench.library.target(&name)?;
+    let foreign_um_per_px = match (&kept.target.taken, kept.instrument == bench.config.name) {
+        (_, true) => None,
+        (Some(taken), false) => Some(taken.um_per_px),
+        (None, false) => {
+            let message = format!(
+                "the target '{name}' was saved on '{}', and an earlier version did not keep its scale. Save it anew here",
+                kept.instrument
+            );
+            return Err(ApiError::conflict("foreign_target", message));
+        }
+    };
+    let input = RepositionInput {
+        target_id: kept.id.clone(),
+        options: RepositionOptions {
+            servo: ServoOptions {
+                within_um: bench.config.arrival.within_um,
+                within_deg: bench.config.arrival.within_deg,
+                ..ServoOptions::default()
+            },
+            ..RepositionOptions::default()
+        },
+        foreign_um_per_px,
+        known: bench.known_calibrations(|_| {}),
+        switchings: bench.switchings.clone(),
+        parcentric: bench.parcentric.clone(),
+    };
+    let asked = Asked {
+        inputs: json!({"name": name, "options": input.options}),
+        target: Some([name.clone(), kept.id]),
+        ..Asked::default()
+    };
+    let target = kept.target;
+    let job = AnyJob::new::<ApiError>(Request::Reposition(input), |_| Ok(target))?;
+    Ok(Wish {
+        case: Case::Any(Box::new(job)),
+        about: Some(name),
+        asked: Some(asked),
+    })
+}
+
+/// What a killed program left.
+fn resume(bench: &Workbench) -> Result<Wish, ApiError> {
+    let Some(left) = bench.left()? else {
+        let message = "no job was under way when a program ended: there is nothing to go on with";
+        return Err(ApiError::conflict("nothing_left", message));
+    };
+    let cannot = |why: String| {
+        let message = format!("{} cannot go on: {why}", what(&left));
+        ApiError::conflict("unfinished", message)
+    };
+    if let Some(why) = contradiction(&left, &bench.scope) {
+        return Err(cannot(why));
+    }
+    let Some(step) = &left.step else {
+        return Err(cannot("it had not begun. Abandon it".into()));
+    };
+    let stored = AnyJob::stored(&left.head.job, step.state.to_string().as_bytes());
+    let mut job = stored.map_err(|e| cannot(e.to_string()))?;
+    let name = left.head.inputs["name"].as_str().map(str::to_owned);
+    if let Some(id) = job.target_id() {
+        let target = kept_target(bench, name.as_deref().unwrap_or_default(), id);
+        job = job.with_target(target.map_err(cannot)?);
+    }
+    Ok(Wish {
+        case: Case::Any(Box::new(job)),
+        about: name,
+        asked: Some(Asked {
+            inputs: left.head.inputs.clone(),
+            target: left.head.target.clone(),
+            resumed: true,
+        }),
+    })
+}
+
+fn kept_target(bench: &Workbench, name: &str, id: &str) -> Result<Target, String> {
+    let kept = bench.library.target(name).map_err(|e| e.to_string())?;
+    match kept.id == id {
+        true => Ok(kept.target),
+        false => Err("its target is not the one that it was begun with".into()),
+    }
+}

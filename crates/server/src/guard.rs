@@ -1,0 +1,278 @@
+//! Who is let in: by the address that was asked for, the page that asks, the form of what is sent, and who it is.
+
+use crate::app::App;
+use crate::error::ApiError;
+use crate::people::{Caller, Role};
+use axum::body::Body;
+use axum::extract::{ConnectInfo, Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+/// The cookie of a browser that is logged in.
+pub(crate) const COOKIE: &str = "scopeservo";
+
+/// What of everything that is answered holds.
+const HEADERS: [(&str, &str); 6] = [
+    (
+        "content-security-policy",
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; font-src 'self'; \
+         frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+    ("x-content-type-options", "nosniff"),
+    ("x-frame-options", "DENY"),
+    ("referrer-policy", "no-referrer"),
+    ("cross-origin-opener-policy", "same-origin"),
+    ("cross-origin-resource-policy", "same-origin"),
+];
+
+/// The names and ports under which this server may be asked: a page of another name that leads here is somebody else's.
+#[derive(Debug, Clone)]
+pub(crate) struct Names(Vec<String>);
+
+impl Names {
+    /// Those of a loopback address, and others that were told.
+    pub(crate) fn of(address: SocketAddr, others: &[String]) -> Self {
+        let port = address.port();
+        let own = ["127.0.0.1", "localhost", "[::1]"].map(|name| format!("{name}:{port}"));
+        let others = others.iter().map(|name| match name.contains(':') {
+            true => name.to_ascii_lowercase(),
+            false => format!("{}:{port}", name.to_ascii_lowercase()),
+        });
+        Self(own.into_iter().chain(others).collect())
+    }
+
+    fn has(&self, host: &str) -> bool {
+        let host = host.to_ascii_lowercase();
+        self.0.contains(&host)
+    }
+
+    fn is_origin(&self, origin: &str) -> bool {
+        let rest = origin.strip_prefix("http://");
+        let rest = rest.or_else(|| origin.strip_prefix("https://"));
+        rest.is_some_and(|host| self.has(host))
+    }
+}
+
+fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
+    headers.get(name)?.to_str().ok()
+}
+
+/// The first gate: what is refused here has reached nothing.
+pub(crate) async fn guard(
+    State(app): State<Arc<App>>,
+    ConnectInfo(peer): ConnectInfo<SocketAddr>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    let refused = is_ours(&app, &request).err();
+    let mut response = match refused {
+        Some(refused) => refused.into_response(),
+        None => {
+            let here = peer.ip().is_loopback();
+            if let Some(caller) = known(&app, request.headers(), here) {
+                request.extensions_mut().insert(caller);
+            }
+            next.run(request).await
+        }
+    };
+    for (name, value) in HEADERS {
+        let headers = response.headers_mut();
+        if !headers.contains_key(name) {
+            headers.insert(
+                HeaderName::from_static(name),
+                HeaderValue::from_static(value),
+            );
+        }
+    }
+    response
+}
+
+/// Whether it comes from a page of ours, or from a program, in a form that no other page can send.
+fn is_ours(app: &App, request: &Request<Body>) -> Result<(), ApiError> {
+    let headers = request.headers();
+    // HTTP/1.1 has it in the header, a proxy of another kind in the address.
+    let host =
+        text(headers, header::HOST).or_else(|| request.uri().authority().map(|a| a.as_str()));
+    if !host.is_some_and(|host| app.names.has(host)) {
+        let message = format!(
+            "this server does not go by the name '{}': use the address that it told, or name it with --name",
+            host.unwrap_or_default()
+        );
+        return Err(ApiError::new(StatusCode::FORBIDDEN, "wrong_host", message));
+    }
+    if let Some(origin) = headers.get(header::ORIGIN) {
+        let origin = origin.to_str().unwrap_or_default();
+        if !app.names.is_origin(origin) {
+            let message = format!("a page of '{origin}' may ask nothing here");
+            return Err(ApiError::forbidden("wrong_origin", message));
+        }
+    }
+    let site = text(headers, HeaderName::from_static("sec-fetch-site"));
+    let changes = !matches!(*request.method(), Method::GET | Method::HEAD);
+    if changes && site.is_some_and(|site| !matches!(site, "same-origin" | "none")) {
+        let message = "a page of another site may ask nothing here";
+        return Err(ApiError::forbidden("wrong_origin", message));
+    }
+    let kind = text(headers, header::CONTENT_TYPE).unwrap_or_default();
+    let is_json = kind
+        .split(';')
+        .next()
+        .is_some_and(|k| k.trim().eq_ignore_ascii_case("application/json"));
+    if changes && !is_json {
+        let message = "what is sent must be JSON, and say so: content-type: application/json";
+        let status = StatusCode::UNSUPPORTED_MEDIA_TYPE;
+        return Err(ApiError::new(status, "not_json", message));
+    }
+    Ok(())
+}
+
+/// Who asks, by token or cookie.
+fn known(app: &App, headers: &HeaderMap, here: bool) -> Option<Caller> {
+    if let Some(bearer) = text(headers, header::AUTHORIZATION) {
+        return app
+            .people
+            .of_token(bearer.strip_prefix("Bearer ")?.trim(), here);
+    }
+    app.people.of_session(cookie(headers)?, here)
+}
+
+/// The secret of the session.
+fn cookie(headers: &HeaderMap) -> Option<&str> {
+    let all = text(headers, header::COOKIE)?.split(';');
+    let mut pairs = all.filter_map(|pair| pair.trim().split_once('='));
+    pairs
+        .find(|(name, _)| *name == COOKIE)
+        .map(|(_, secret)| secret)
+}
+
+/// The header that makes a browser remember a session, or forget it.
+pub(crate) fn set_cookie(session: Option<&str>) -> [(HeaderName, String); 1] {
+    let cookie = match session {
+        Some(session) => format!("{COOKIE}={session}; Path=/; HttpOnly; SameSite=Strict"),
+        None => format!("{COOKIE}=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0"),
+    };
+    [(header::SET_COOKIE, cookie)]
+}
+
+/// What a route needs of whoever asks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Need {
+    /// Nothing: how one comes in.
+    Nobody,
+    /// Somebody who may look, and stop.
+    View,
+    /// Somebody who may change what is kept.
+    Operate,
+    /// Somebody who may move the instrument, from where they are.
+    Move,
+    /// Somebody who says who may.
+    Administer,
+}
+
+impl Need {
+    /// Whether that is met.
+    ///
+    /// # Errors
+    /// `not_logged_in`, `role`, `not_here`.
+    pub(crate) fn met_by(self, caller: Option<&Caller>) -> Result<(), ApiError> {
+        let least = match self {
+            Self::Nobody => return Ok(()),
+            Self::View => Role::Viewer,
+            Self::Operate | Self::Move => Role::Operator,
+            Self::Administer => Role::Admin,
+        };
+        let Some(caller) = caller else {
+            let message = "log in first";
+            return Err(ApiError::new(
+                StatusCode::UNAUTHORIZED,
+                "not_logged_in",
+                message,
+            ));
+        };
+        if caller.role < least {
+            let message = format!(
+                "{} may look and stop; this needs the role {}",
+                caller.user,
+                match least {
+                    Role::Admin => "admin",
+                    _ => "operator",
+                }
+            );
+            return Err(ApiError::forbidden("role", message));
+        }
+        if self == Self::Move && !caller.here {
+            let message =
+                "from another machine nothing may be moved: allow it at the microscope first";
+            return Err(ApiError::forbidden("not_here", message));
+        }
+        Ok(())
+    }
+}
+
+/// The second gate, before each route.
+pub(crate) async fn require(need: Need, request: Request, next: Next) -> Response {
+    match need.met_by(request.extensions().get::<Caller>()) {
+        Ok(()) => next.run(request).await,
+        Err(refused) => refused.into_response(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_our_own_names_lead_here() {
+        let address = "127.0.0.1:7070".parse().unwrap();
+        let names = Names::of(address, &["Scope-3.lab".into(), "proxy.lab:443".into()]);
+        for host in [
+            "127.0.0.1:7070",
+            "LOCALHOST:7070",
+            "[::1]:7070",
+            "scope-3.lab:7070",
+            "proxy.lab:443",
+        ] {
+            assert!(names.has(host), "{host}");
+        }
+        for host in [
+            "localhost",
+            "127.0.0.1:80",
+            "evil.example:7070",
+            "scope-3.lab.evil:7070",
+            "",
+        ] {
+            assert!(!names.has(host), "{host}");
+        }
+        assert!(names.is_origin("http://localhost:7070"));
+        for origin in [
+            "null",
+            "http://localhost:7071",
+            "file://localhost:7070",
+            "http://evil.example",
+        ] {
+            assert!(!names.is_origin(origin), "{origin}");
+        }
+    }
+
+    #[test]
+    fn a_role_does_what_it_may_and_what_the_lesser_ones_may() {
+        let caller = |role, here| Caller {
+            user: "anna".into(),
+            role,
+            key: String::new(),
+            here,
+        };
+        let code = |need: Need, caller: Option<&Caller>| need.met_by(caller).err().map(|e| e.code);
+        assert_eq!(code(Need::View, None).as_deref(), Some("not_logged_in"));
+        let viewer = caller(Role::Viewer, true);
+        assert_eq!(code(Need::View, Some(&viewer)), None);
+        assert_eq!(code(Need::Move, Some(&viewer)).as_deref(), Some("role"));
+        let far = caller(Role::Admin, false);
+        assert_eq!(code(Need::Administer, Some(&far)), None);
+        assert_eq!(code(Need::Move, Some(&far)).as_deref(), Some("not_here"));
+        assert_eq!(code(Need::Move, Some(&caller(Role::Operator, true))), None);
+    }
+}

@@ -1,0 +1,249 @@
+//! One connection that lasts: frames as they are drawn, how things stand, and what happens; and what is held to move.
+
+use crate::app::App;
+use crate::error::ApiError;
+use crate::guard::Need;
+use crate::jog::Way;
+use crate::live::{Live, Watching};
+use crate::people::Caller;
+use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
+use scopeservo_station::{Heard, Listener};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
+
+/// Who takes nothing for so long is cut off.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Who does not draw a frame within so long is sent the next one all the same.
+const UNDRAWN: Duration = Duration::from_secs(2);
+/// How things stand is told as often, when nothing changes.
+const STANDING: Duration = Duration::from_secs(1);
+/// So many events at once, then frames have their turn.
+const EVENTS: usize = 50;
+
+/// What a browser or a program says.
+#[derive(Debug, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+enum Said {
+    Watch { fps: f64 },
+    Ack { seq: u64 },
+    Alive {},
+    Jog(Way),
+    JogEnd {},
+    Stop {},
+    From { number: u64 },
+    Ping { n: Value },
+}
+
+struct Client {
+    app: Arc<App>,
+    caller: Caller,
+    listener: Listener,
+    watching: Option<Watching>,
+    /// Between two frames.
+    gap: Duration,
+    /// The frame that is being drawn, and since when.
+    sent: Option<(u64, Instant)>,
+    last_frame: Instant,
+}
+
+/// Serves one connection until it ends.
+pub(crate) async fn serve(app: Arc<App>, caller: Caller, mut socket: WebSocket) {
+    let listener = app.console.session().listen();
+    let next = *app.events.borrow();
+    let hello = json!({"type": "hello", "version": env!("CARGO_PKG_VERSION"), "next": next});
+    let mut client = Client {
+        listener,
+        watching: None,
+        gap: Duration::ZERO,
+        sent: None,
+        last_frame: Instant::now(),
+        app,
+        caller,
+    };
+    if tell(&mut socket, hello).await.is_ok() {
+        let _ = client.talk(&mut socket).await;
+    }
+    // Whoever held the stage is gone.
+    let (app, key) = (client.app.clone(), client.caller.key.clone());
+    let _ = tokio::task::spawn_blocking(move || app.desk.let_go(&key)).await;
+}
+
+/// The connection has ended.
+struct Gone;
+
+async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Gone> {
+    match timeout(PATIENCE, socket.send(message)).await {
+        Ok(Ok(())) => Ok(()),
+        _ => Err(Gone),
+    }
+}
+
+async fn tell(socket: &mut WebSocket, what: Value) -> Result<(), Gone> {
+    send(socket, Message::Text(Utf8Bytes::from(what.to_string()))).await
+}
+
+impl Client {
+    async fn talk(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+        let mut standing = self.app.standing.subscribe();
+        let mut events = self.app.events.subscribe();
+        let mut often = interval(STANDING);
+        often.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut draw = interval(Duration::from_millis(10));
+        draw.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                said = socket.recv() => match said {
+                    Some(Ok(Message::Text(text))) => self.heard(socket, &text).await?,
+                    Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(Gone),
+                    Some(Ok(_)) => {}
+                },
+                changed = standing.changed() => {
+                    changed.map_err(|_| Gone)?;
+                    self.tell_standing(socket).await?;
+                }
+                _ = often.tick() => self.tell_standing(socket).await?,
+                changed = events.changed() => {
+                    changed.map_err(|_| Gone)?;
+                    self.tell_events(socket).await?;
+                }
+                _ = draw.tick(), if self.watching.is_some() => self.show(socket).await?,
+            }
+        }
+    }
+
+    async fn tell_standing(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+        let standing = self.app.standing.borrow().clone();
+        let state = standing.told_to(&self.app, &self.caller);
+        tell(socket, json!({"type": "state", "state": state})).await
+    }
+
+    async fn tell_events(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+        for _ in 0..EVENTS {
+            match self.listener.heard() {
+                None => return Ok(()),
+                Some(Heard::Missed { events }) => {
+                    tell(socket, json!({"type": "missed", "events": events})).await?;
+                }
+                Some(Heard::Event(record)) => {
+                    tell(socket, json!({"type": "event", "record": &*record})).await?;
+                }
+            }
+        }
+        // The rest comes after what else waits.
+        self.app.events.send_modify(|_| {});
+        Ok(())
+    }
+
+    /// The newest frame, when the one before was drawn.
+    async fn show(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+        let Some(watching) = &mut self.watching else {
+            return Ok(());
+        };
+        let is_drawn = self.sent.is_none_or(|(_, since)| since.elapsed() > UNDRAWN);
+        if !is_drawn || self.last_frame.elapsed() < self.gap {
+            return Ok(());
+        }
+        if !watching.frames.has_changed().unwrap_or(false) {
+            return Ok(());
+        }
+        let newest = watching.frames.borrow_and_update().clone();
+        let Some(encoded) = newest else {
+            return Ok(());
+        };
+        self.sent = Some((encoded.head.seq, Instant::now()));
+        self.last_frame = Instant::now();
+        send(socket, Message::Binary(encoded.message().into())).await
+    }
+
+    async fn heard(&mut self, socket: &mut WebSocket, text: &str) -> Result<(), Gone> {
+        let said: Said = match serde_json::from_str(text) {
+            Ok(said) => said,
+            Err(error) => return refuse(socket, ApiError::input(error.to_string())).await,
+        };
+        match said {
+            Said::Watch { fps } => self.watch(fps),
+            Said::Ack { seq } => {
+                if self.sent.is_some_and(|(sent, _)| sent <= seq) {
+                    self.sent = None;
+                }
+            }
+            Said::Alive {} => self.app.seat.renew(&self.caller),
+            Said::From { number } => {
+                self.listener = self.app.console.session().bus().listen_from(number);
+                self.tell_events(socket).await?;
+            }
+            Said::Ping { n } => tell(socket, json!({"type": "pong", "n": n})).await?,
+            Said::JogEnd {} => {
+                self.blocking(|app, caller| {
+                    app.desk.let_go(&caller.key);
+                    Ok(())
+                })
+                .await
+                .ok();
+            }
+            Said::Stop {} => {
+                let stopped = self.blocking(stop).await;
+                if let Err(error) = stopped {
+                    return refuse(socket, error).await;
+                }
+            }
+            Said::Jog(way) => {
+                let begun = match Need::Move.met_by(Some(&self.caller)) {
+                    Ok(()) => {
+                        self.blocking(move |app, caller| app.desk.jog(app, caller, way))
+                            .await
+                    }
+                    refused => refused,
+                };
+                if let Err(error) = begun {
+                    return refuse(socket, error).await;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn watch(&mut self, fps: f64) {
+        self.sent = None;
+        self.watching = match fps > 0.0 {
+            true => Some(Live::watch(&self.app)),
+            false => None,
+        };
+        self.gap = match fps > 0.0 {
+            true => Duration::from_secs_f64(1.0 / fps.clamp(0.1, 60.0)).mul_f64(0.9),
+            false => Duration::ZERO,
+        };
+    }
+
+    /// What may wait for a device does not keep the connection from others.
+    async fn blocking(
+        &self,
+        what: impl FnOnce(&Arc<App>, &Caller) -> Result<(), ApiError> + Send + 'static,
+    ) -> Result<(), ApiError> {
+        let (app, caller) = (self.app.clone(), self.caller.clone());
+        let done = tokio::task::spawn_blocking(move || what(&app, &caller)).await;
+        done.unwrap_or_else(|_| {
+            Err(ApiError::fault(
+                "a mistake of the program, told on its terminal",
+            ))
+        })
+    }
+}
+
+/// Everything stands still.
+///
+/// # Errors
+/// What a device answers that does not take the stop.
+pub(crate) fn stop(app: &Arc<App>, caller: &Caller) -> Result<(), ApiError> {
+    let told = app.console.session().stop();
+    let _ = app.audit.note(caller, "stopped", Value::Null);
+    Ok(told?)
+}
+
+async fn refuse(socket: &mut WebSocket, error: ApiError) -> Result<(), Gone> {
+    let what = json!({"type": "refused", "code": error.code, "message": error.message});
+    tell(socket, what).await
+}
