@@ -27,9 +27,13 @@ nosepiece = "twin"
 light = "twin"
 
 [limits]
-x_um = [-4000, 4000]
-y_um = [-4000, 4000]
-z_um = [-2000, 300]
+x_um = [-17000, 17000]
+y_um = [-16000, 16000]
+z_um = [-3000, 500]
+
+[objective_change]
+retract_z_um = -2000
+margin_um = 50
 
 [camera]
 exposure_ms = 10

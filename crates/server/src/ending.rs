@@ -72,6 +72,9 @@ pub(crate) fn follow(app: &App, mut task: Task, job: Job<<Case as UseCase>::Outp
         let _ = record.end(page.as_deref(), &told);
         run
     });
+    if matches!(task.entry.kind, "calibrate" | "reposition") {
+        app.learn_calibrated();
+    }
     task.entry.finish(End {
         answer: (!answer.is_null()).then_some(answer),
         error,

@@ -171,6 +171,6 @@ mod tests {
         );
         assert!(held.message.contains("anna"), "{}", held.message);
         let homed = ApiError::from(ScopeError::NotHomed { device: "stage" });
-        assert_eq!((homed.kind, homed.code.as_str()), ("refusal", "not_homed"));
+        assert_eq!((homed.kind, homed.code.as_str()), ("refusal", "refused"));
     }
 }

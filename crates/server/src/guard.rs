@@ -173,6 +173,17 @@ pub(crate) enum Need {
 }
 
 impl Need {
+    /// In a word.
+    pub(crate) fn word(self) -> &'static str {
+        match self {
+            Self::Nobody => "nobody",
+            Self::View => "viewer",
+            Self::Operate => "operator",
+            Self::Move => "operator, here",
+            Self::Administer => "admin",
+        }
+    }
+
     /// Whether that is met.
     ///
     /// # Errors

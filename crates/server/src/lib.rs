@@ -28,6 +28,7 @@ mod serve;
 mod socket;
 mod standing;
 
+pub use routes::routes;
 pub use serve::{Before, ServeError, Server, Settings};
 
 /// What a panic left behind a lock is whole: every value is replaced in one go.

@@ -145,6 +145,13 @@ pub(crate) fn table() -> Vec<Route> {
     ]
 }
 
+/// Method, path and need of every route, for documents and tests.
+pub fn routes() -> Vec<[&'static str; 3]> {
+    let all = table().into_iter();
+    all.map(|route| [route.method, route.path, route.need.word()])
+        .collect()
+}
+
 /// The router of all routes, behind the guard.
 pub(crate) fn router(app: &Arc<App>) -> Router {
     let all = table().into_iter();

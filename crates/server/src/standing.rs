@@ -11,7 +11,9 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// How often it is looked.
-const OFTEN: Duration = Duration::from_millis(150);
+const OFTEN: Duration = Duration::from_millis(125);
+/// How often it is looked whether somebody holds still what is held to move.
+const HELD: Duration = Duration::from_millis(25);
 /// What stands is asked again so often: an answer may take a controller tens of milliseconds.
 const AT_REST: Duration = Duration::from_secs(1);
 
@@ -137,14 +139,17 @@ fn question(question: &Question) -> Value {
     told
 }
 
-/// Looks until the server ends. A jog that nobody holds any more ends here, too.
+/// Looks until the server ends.
 pub(crate) fn watch(app: &Arc<App>) {
     let mut before = Standing::unknown();
     while !app.ends.load(Ordering::SeqCst) {
-        app.desk.end_stale_jog();
         let now = Standing::look(app, &before);
         before = now.clone();
         app.standing.send_replace(Arc::new(now));
-        std::thread::sleep(OFTEN);
+        let since = Instant::now();
+        while since.elapsed() < OFTEN {
+            app.desk.end_stale_jog();
+            std::thread::sleep(HELD);
+        }
     }
 }

@@ -1,0 +1,260 @@
+//! Who may come in, and what strangers cannot do.
+
+mod common;
+
+use common::{Bench, Client, HURRIED};
+use scopeservo_server::routes;
+use serde_json::{Value, json};
+use std::sync::Arc;
+use tempfile::TempDir;
+
+/// Paths with something in place of their names.
+fn path(of: &str) -> String {
+    of.replace("{name}", "x")
+        .replace("{id}", "0")
+        .replace("{file}", "app.js")
+}
+
+/// A body that would do something, were it let in.
+fn tempting(path: &str) -> Value {
+    match path {
+        "/api/v1/jobs" => json!({"job": "move", "by": {"x_um": 50.0}}),
+        "/api/v1/exposure" => json!({"ms": 3.0}),
+        "/api/v1/light" => json!({"level": 0.1}),
+        "/api/v1/users" => json!({"name": "eve", "password": "long enough", "role": "admin"}),
+        "/api/v1/tokens" => json!({"name": "eve", "role": "admin"}),
+        _ => json!({}),
+    }
+}
+
+fn ask(client: &Client, [method, route, _]: [&str; 3], headers: &[(&str, &str)]) -> common::Said {
+    let body = match method {
+        "GET" => String::new(),
+        _ => tempting(route).to_string(),
+    };
+    client.with(method, &path(route), headers, &body)
+}
+
+/// A person, made by the first admin.
+fn person(bench: &Bench, admin: &Client, name: &str, role: &str) -> Client {
+    let new = json!({"name": name, "password": "long enough", "role": role});
+    assert_eq!(admin.post("/api/v1/users", &new).status, 200);
+    let said = bench.stranger().post(
+        "/api/v1/login",
+        &json!({"name": name, "password": "long enough"}),
+    );
+    assert_eq!(said.status, 200);
+    bench.stranger().with_cookie(&said)
+}
+
+fn admin(bench: &Bench) -> Client {
+    let key = bench.key.clone().unwrap();
+    let stranger = bench.stranger();
+    assert_eq!(
+        stranger.post("/api/v1/enter", &json!({"key": key})).json()["claim"],
+        true
+    );
+    let claim = json!({"key": key, "name": "anna", "password": "long enough"});
+    let said = stranger.post("/api/v1/claim", &claim);
+    assert_eq!(said.status, 200, "{}", said.json());
+    stranger.with_cookie(&said)
+}
+
+#[test]
+fn no_route_lets_in_who_may_not_and_nothing_moves_for_them() {
+    let mut bench = Bench::new(HURRIED, false, Arc::new(TempDir::new().unwrap()));
+    let admin = admin(&bench);
+    let viewer = person(&bench, &admin, "vera", "viewer");
+    let own = format!("http://{}", bench.address());
+    for route in routes() {
+        let [method, at, need] = route;
+        if need == "nobody" {
+            continue;
+        }
+        let stranger = ask(&bench.stranger(), route, &[]);
+        assert_eq!(stranger.status, 401, "{method} {at}: {}", stranger.head);
+        assert_eq!(stranger.code(), "not_logged_in", "{method} {at}");
+        // Watching goes on for ever, and logging out ends it.
+        if at.ends_with("logout") || at.ends_with("mjpg") {
+            continue;
+        }
+        let seen = ask(&viewer, route, &[]);
+        let is_let_in = !matches!(seen.status, 401 | 403 | 500);
+        match need {
+            "viewer" => assert!(is_let_in, "{method} {at}: {}", seen.head),
+            _ => {
+                assert_eq!(seen.status, 403, "{method} {at}");
+                assert_eq!(seen.code(), "role", "{method} {at}");
+            }
+        }
+    }
+    assert_eq!(viewer.post("/api/v1/stop", &json!({})).status, 200);
+    // Whoever may: from another page, under another name, in another form.
+    for route in routes() {
+        let [method, at, _] = route;
+        for (headers, status, code) in [
+            ([("host", "evil.example")], 403, "wrong_host"),
+            ([("origin", "http://evil.example")], 403, "wrong_origin"),
+            ([("origin", "null")], 403, "wrong_origin"),
+        ] {
+            let said = ask(&admin, route, &headers);
+            assert_eq!(
+                (said.status, said.code().as_str()),
+                (status, code),
+                "{method} {at}"
+            );
+        }
+        if method != "GET" {
+            for kind in ["text/plain", "application/x-www-form-urlencoded", ""] {
+                let said = ask(&admin, route, &[("content-type", kind)]);
+                assert_eq!(
+                    (said.status, said.code().as_str()),
+                    (415, "not_json"),
+                    "{method} {at}"
+                );
+            }
+            let said = ask(&admin, route, &[("sec-fetch-site", "cross-site")]);
+            assert_eq!(said.code(), "wrong_origin", "{method} {at}");
+        }
+    }
+    assert_eq!(bench.motions(), 0);
+    // The same with our own origin does move.
+    let route = ["POST", "/api/v1/jobs", ""];
+    let said = ask(&admin, route, &[("origin", &own)]);
+    assert_eq!(said.status, 202, "{}", said.json());
+    admin.ended(said.json()["id"].as_u64().unwrap());
+    assert_eq!(bench.motions(), 1);
+}
+
+#[test]
+fn a_token_is_a_person_without_a_browser() {
+    let mut bench = Bench::new(HURRIED, false, Arc::new(TempDir::new().unwrap()));
+    let admin = admin(&bench);
+    let token = |name: &str, role: &str| {
+        let said = admin.post("/api/v1/tokens", &json!({"name": name, "role": role}));
+        let token = said.json()["token"].as_str().unwrap().to_owned();
+        move |client: &Client, method: &str, path: &str, body: &Value| {
+            let bearer = format!("Bearer {token}");
+            client.with(
+                method,
+                path,
+                &[("authorization", &bearer)],
+                &body.to_string(),
+            )
+        }
+    };
+    let (looks, moves) = (token("watcher", "viewer"), token("mover", "operator"));
+    let stranger = bench.stranger();
+    let goes = json!({"job": "move", "by": {"x_um": 5.0}});
+    assert_eq!(
+        looks(&stranger, "GET", "/api/v1/state", &json!({})).status,
+        200
+    );
+    assert_eq!(
+        looks(&stranger, "POST", "/api/v1/jobs", &goes).code(),
+        "role"
+    );
+    let started = moves(&stranger, "POST", "/api/v1/jobs", &goes);
+    assert_eq!(started.status, 202);
+    admin.ended(started.json()["id"].as_u64().unwrap());
+    assert_eq!(bench.motions(), 1);
+    // Somebody else drives now.
+    assert_eq!(admin.post("/api/v1/jobs", &goes).code(), "held");
+    assert_eq!(
+        admin.with("DELETE", "/api/v1/tokens/mover", &[], "").status,
+        200
+    );
+    assert_eq!(moves(&stranger, "POST", "/api/v1/jobs", &goes).status, 401);
+    let log = bench.folder.path().join("server/moved.jsonl");
+    let log = std::fs::read_to_string(log).unwrap();
+    assert!(
+        log.contains("\"user\":\"mover\"") && log.contains("\"did\":\"started\""),
+        "{log}"
+    );
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_with_a_sentence() {
+    let mut bench = Bench::demo(HURRIED);
+    let visitor = bench.visitor();
+    let jobs = [
+        json!({}),
+        json!({"job": "dance"}),
+        json!({"job": "move"}),
+        json!({"job": "move", "by": {}}),
+        json!({"job": "move", "by": {"w_um": 1.0}}),
+        json!({"job": "move", "by": {"x_um": 1.0}, "to": {"x_um": 1.0}}),
+        json!({"job": "move", "by": {"x_um": "far"}}),
+        json!({"job": "centre", "x": 1.5, "y": 0.5}),
+        json!({"job": "objective", "objective": "100x"}),
+        json!({"job": "focus", "range_um": -3.0}),
+        json!({"job": "calibrate", "objectives": ["100x"]}),
+        json!({"job": "save_target", "name": "../../etc/passwd"}),
+        json!({"job": "reposition", "target": "nothing"}),
+        json!({"job": "resume"}),
+        json!({"job": "check"}),
+    ];
+    for job in jobs {
+        let said = visitor.post("/api/v1/jobs", &job);
+        assert!((400..500).contains(&said.status), "{job}: {}", said.head);
+        let message = said.json()["message"].as_str().unwrap().to_owned();
+        assert!(message.len() > 10, "{job}: {message}");
+    }
+    for (path, body) in [
+        ("/api/v1/exposure", "{\"ms\": 1e999}"),
+        ("/api/v1/exposure", "{\"ms\": -1}"),
+        ("/api/v1/light", "{\"level\": 7}"),
+        ("/api/v1/light", "[[[[[["),
+        ("/api/v1/slide", "{\"name\": \"a\\u0000b\"}"),
+        ("/api/v1/questions/9", "{\"yes\": true}"),
+    ] {
+        let said = visitor.with("POST", path, &[], body);
+        assert!(
+            (400..500).contains(&said.status),
+            "{path} {body}: {}",
+            said.head
+        );
+        said.code();
+    }
+    let large = format!("{{\"name\": \"{}\"}}", "x".repeat(2 << 20));
+    assert_eq!(
+        visitor.with("POST", "/api/v1/slide", &[], &large).status,
+        413
+    );
+    for path in [
+        "/api/v1/nothing",
+        "/api/v1/targets/%ff",
+        "/api/v1/runs/..%2f..",
+        "/api/v1/jobs/abc",
+        "/nothing.js",
+    ] {
+        let said = visitor.get(path);
+        assert!((400..500).contains(&said.status), "{path}: {}", said.head);
+    }
+    // Beyond a limit it is the job that is refused.
+    let beyond = visitor.run(&json!({"job": "move", "to": {"x_um": 50000.0}}));
+    assert_eq!(beyond["error"]["kind"], "refusal", "{beyond}");
+    assert_eq!(bench.motions(), 0);
+}
+
+#[test]
+fn a_page_of_ours_loads_nothing_from_elsewhere_and_is_nobodys_frame() {
+    let bench = Bench::demo(HURRIED);
+    for path in ["/", "/app.js", "/app.css"] {
+        let said = bench.stranger().get(path);
+        assert_eq!(said.status, 200, "{path}");
+        let policy = said.header("content-security-policy").unwrap();
+        assert!(
+            policy.starts_with("default-src 'none'; script-src 'self'"),
+            "{policy}"
+        );
+        assert!(policy.contains("frame-ancestors 'none'"), "{policy}");
+        assert_eq!(said.header("x-content-type-options"), Some("nosniff"));
+    }
+    let page = bench.stranger().get("/");
+    let text = String::from_utf8(page.body).unwrap();
+    assert!(
+        !text.contains("http://") && !text.contains("https://"),
+        "{text}"
+    );
+}
