@@ -8,7 +8,11 @@ use crate::open_instrument::stop_on_interrupt;
 use scopeservo_scope::CancelToken;
 use scopeservo_server::{Before, Server, Settings};
 use scopeservo_setup::{Config, Consent, home_if_needed};
-use scopeservo_workbench::Workbench;
+use scopeservo_station::jobs::{CalibrateInput, CalibrateJob};
+use scopeservo_station::{MadeCalibration, MemoryJournal, Parts};
+use scopeservo_workbench::{Console, Late, Workbench};
+use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 use tempfile::TempDir;
 
@@ -82,11 +86,66 @@ pub(crate) fn run(args: &ServeArgs, answer: &Answer) -> Result<bool, CliError> {
         .map_err(|error| CliError::Usage(error.to_string()))?;
     say!(answer, "open {}", server.link());
     say!(answer, "Ctrl-C ends it");
+    let server = Arc::new(server);
+    if let Some(folder) = &demo {
+        teach(&server, folder.path());
+    }
     while !cancel.is_cancelled() {
         std::thread::sleep(LOOK);
     }
-    drop(server);
+    end(server);
     drop(demo);
     say!(answer, "ended: nothing moves");
     Ok(true)
+}
+
+/// Whoever teaches it still lets go within so long.
+const TEACHING: Duration = Duration::from_secs(20);
+
+/// The last one who has it ends it, and waits for what is under way.
+fn end(mut server: Arc<Server>) {
+    let since = std::time::Instant::now();
+    loop {
+        match Arc::try_unwrap(server) {
+            Ok(last) => return drop(last),
+            Err(_) if since.elapsed() > TEACHING => return,
+            Err(shared) => server = shared,
+        }
+        std::thread::sleep(LOOK);
+    }
+}
+
+/// The demonstration's objectives are calibrated meanwhile, on a microscope of the same make whose minutes pass in seconds: so nobody waits for
+/// that on the first way back.
+fn teach(server: &Arc<Server>, folder: &Path) {
+    let (server, folder) = (Arc::downgrade(server), folder.join("calibrated"));
+    std::thread::spawn(move || {
+        // Without it the first way back takes longer, and no more.
+        let made = calibrated(&folder).unwrap_or_default();
+        if let Some(server) = server.upgrade() {
+            server.keep_calibrations(&made);
+        }
+    });
+}
+
+fn calibrated(folder: &Path) -> Result<Vec<MadeCalibration>, CliError> {
+    let hurried = DEMO.replace("real_time = true", "real_time = false");
+    let config = Config::parse(&hurried, &folder.join("scopeservo.toml"))?;
+    let consent = Consent {
+        home: true,
+        ask: Arc::new(|_, _| false),
+        ask_immersion: Arc::new(|_, _| false),
+    };
+    let bench = Workbench::open(config, &consent, CancelToken::new(), |_| {})?;
+    let parts = Parts {
+        journal: Arc::new(MemoryJournal::default()),
+        ..Parts::default()
+    };
+    let console = Console::new(&bench.scope, parts, Late::LeftOut, |_| {});
+    let session = console.session();
+    let internal = |e: scopeservo_station::Refusal| CliError::Internal(e.to_string());
+    let lease = session.take_lease("scopeservo", None).map_err(internal)?;
+    let job = CalibrateJob::new(CalibrateInput::default());
+    let job = session.start(&lease, job).map_err(internal)?;
+    Ok(console.follow(job, |_| {})?.made)
 }

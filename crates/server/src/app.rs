@@ -12,8 +12,9 @@ use axum::http::StatusCode;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_workbench::{Console, Workbench};
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 /// The server's state.
@@ -37,6 +38,10 @@ pub(crate) struct App {
     pub(crate) names: Names,
     /// A demonstration, whose slide can be taken out and put back.
     pub(crate) demo: Option<Demo>,
+    /// Counts what changed of what is kept.
+    pub(crate) revision: AtomicU64,
+    /// Until when somebody at another machine may move the instrument.
+    pub(crate) elsewhere: Mutex<Option<Instant>>,
     /// Connections that last.
     pub(crate) sockets: Arc<Semaphore>,
     /// The server ends.
@@ -66,6 +71,17 @@ impl App {
             let message = "too many connections: close some";
             ApiError::new(StatusCode::SERVICE_UNAVAILABLE, "too_many", message)
         })
+    }
+
+    /// Something that is kept has changed.
+    pub(crate) fn has_changed(&self) {
+        self.revision.fetch_add(1, Ordering::SeqCst);
+    }
+
+    /// How long somebody at another machine may move the instrument still.
+    pub(crate) fn elsewhere_for(&self) -> Option<Duration> {
+        let until = *crate::lock(&self.elsewhere);
+        until.and_then(|until| until.checked_duration_since(Instant::now()))
     }
 
     /// The demonstration's slide is taken out and put back, a little elsewhere and turned.

@@ -75,6 +75,7 @@ pub(crate) fn follow(app: &App, mut task: Task, job: Job<<Case as UseCase>::Outp
     if matches!(task.entry.kind, "calibrate" | "reposition") {
         app.learn_calibrated();
     }
+    app.has_changed();
     task.entry.finish(End {
         answer: (!answer.is_null()).then_some(answer),
         error,

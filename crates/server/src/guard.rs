@@ -30,7 +30,12 @@ const HEADERS: [(&str, &str); 6] = [
 
 /// The names and ports under which this server may be asked: a page of another name that leads here is somebody else's.
 #[derive(Debug, Clone)]
-pub(crate) struct Names(Vec<String>);
+pub(crate) struct Names {
+    /// Of this computer alone.
+    own: Vec<String>,
+    /// Of a proxy.
+    others: Vec<String>,
+}
 
 impl Names {
     /// Those of a loopback address, and others that were told.
@@ -41,19 +46,46 @@ impl Names {
             true => name.to_ascii_lowercase(),
             false => format!("{}:{port}", name.to_ascii_lowercase()),
         });
-        Self(own.into_iter().chain(others).collect())
+        Self {
+            own: own.into(),
+            others: others.collect(),
+        }
     }
 
     fn has(&self, host: &str) -> bool {
-        let host = host.to_ascii_lowercase();
-        self.0.contains(&host)
+        self.is_own(host) || self.others.contains(&host.to_ascii_lowercase())
     }
 
-    fn is_origin(&self, origin: &str) -> bool {
-        let rest = origin.strip_prefix("http://");
-        let rest = rest.or_else(|| origin.strip_prefix("https://"));
-        rest.is_some_and(|host| self.has(host))
+    /// Whether it is a name that means this computer wherever it is said.
+    fn is_own(&self, host: &str) -> bool {
+        self.own.contains(&host.to_ascii_lowercase())
     }
+}
+
+/// The host of an origin.
+fn host_of(origin: &str) -> &str {
+    let rest = origin.strip_prefix("http://");
+    let rest = rest.or_else(|| origin.strip_prefix("https://"));
+    rest.unwrap_or_default()
+}
+
+/// What proxies add for whom they ask.
+const FORWARDED: [&str; 4] = [
+    "forwarded",
+    "x-forwarded-for",
+    "x-forwarded-host",
+    "x-real-ip",
+];
+
+/// Whether whoever asks sits at this computer. What came through a proxy comes from this computer, too: it is known by the name that was asked
+/// for, by the page that asks, and by what proxies add. When in doubt it comes from elsewhere.
+fn is_here(names: &Names, peer: SocketAddr, headers: &HeaderMap) -> bool {
+    let host = text(headers, header::HOST).unwrap_or_default();
+    let origin = text(headers, header::ORIGIN);
+    peer.ip().is_loopback()
+        && names.is_own(host)
+        && origin.is_none_or(|origin| names.is_own(host_of(origin)))
+        && !FORWARDED.iter().any(|name| headers.contains_key(*name))
 }
 
 fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
@@ -71,8 +103,10 @@ pub(crate) async fn guard(
     let mut response = match refused {
         Some(refused) => refused.into_response(),
         None => {
-            let here = peer.ip().is_loopback();
+            let here = is_here(&app.names, peer, request.headers());
             if let Some(caller) = known(&app, request.headers(), here) {
+                let near = here || app.elsewhere_for().is_some();
+                let caller = Caller { near, ..caller };
                 request.extensions_mut().insert(caller);
             }
             next.run(request).await
@@ -105,7 +139,7 @@ fn is_ours(app: &App, request: &Request<Body>) -> Result<(), ApiError> {
     }
     if let Some(origin) = headers.get(header::ORIGIN) {
         let origin = origin.to_str().unwrap_or_default();
-        if !app.names.is_origin(origin) {
+        if !app.names.has(host_of(origin)) {
             let message = format!("a page of '{origin}' may ask nothing here");
             return Err(ApiError::forbidden("wrong_origin", message));
         }
@@ -168,6 +202,8 @@ pub(crate) enum Need {
     Operate,
     /// Somebody who may move the instrument, from where they are.
     Move,
+    /// The same, at this computer.
+    AllowElsewhere,
     /// Somebody who says who may.
     Administer,
 }
@@ -180,6 +216,7 @@ impl Need {
             Self::View => "viewer",
             Self::Operate => "operator",
             Self::Move => "operator, here",
+            Self::AllowElsewhere => "operator, only here",
             Self::Administer => "admin",
         }
     }
@@ -192,7 +229,7 @@ impl Need {
         let least = match self {
             Self::Nobody => return Ok(()),
             Self::View => Role::Viewer,
-            Self::Operate | Self::Move => Role::Operator,
+            Self::Operate | Self::Move | Self::AllowElsewhere => Role::Operator,
             Self::Administer => Role::Admin,
         };
         let Some(caller) = caller else {
@@ -214,7 +251,12 @@ impl Need {
             );
             return Err(ApiError::forbidden("role", message));
         }
-        if self == Self::Move && !caller.here {
+        let is_near = match self {
+            Self::Move => caller.near,
+            Self::AllowElsewhere => caller.here,
+            _ => true,
+        };
+        if !is_near {
             let message =
                 "from another machine nothing may be moved: allow it at the microscope first";
             return Err(ApiError::forbidden("not_here", message));
@@ -257,15 +299,50 @@ mod tests {
         ] {
             assert!(!names.has(host), "{host}");
         }
-        assert!(names.is_origin("http://localhost:7070"));
+        assert!(names.has(host_of("http://localhost:7070")));
         for origin in [
             "null",
             "http://localhost:7071",
             "file://localhost:7070",
             "http://evil.example",
         ] {
-            assert!(!names.is_origin(origin), "{origin}");
+            assert!(!names.has(host_of(origin)), "{origin}");
         }
+    }
+
+    #[test]
+    fn who_comes_through_a_proxy_is_not_here() {
+        let names = Names::of(
+            "127.0.0.1:7070".parse().unwrap(),
+            &["scope-3.lab:443".into()],
+        );
+        let headers = |all: &[(&'static str, &str)]| {
+            let all = all.iter();
+            let all = all.map(|(n, v)| (HeaderName::from_static(n), v.parse().unwrap()));
+            all.collect::<HeaderMap>()
+        };
+        let peer = "127.0.0.1:50000".parse().unwrap();
+        let own = ("host", "127.0.0.1:7070");
+        assert!(is_here(&names, peer, &headers(&[own])));
+        assert!(is_here(
+            &names,
+            peer,
+            &headers(&[own, ("origin", "http://localhost:7070")])
+        ));
+        for through in [
+            vec![("host", "scope-3.lab:443")],
+            vec![own, ("origin", "https://scope-3.lab:443")],
+            vec![own, ("x-forwarded-for", "10.0.0.7")],
+            vec![own, ("forwarded", "for=10.0.0.7")],
+            vec![],
+        ] {
+            assert!(!is_here(&names, peer, &headers(&through)), "{through:?}");
+        }
+        assert!(!is_here(
+            &names,
+            "10.0.0.7:50000".parse().unwrap(),
+            &headers(&[own])
+        ));
     }
 
     #[test]
@@ -275,6 +352,7 @@ mod tests {
             role,
             key: String::new(),
             here,
+            near: here,
         };
         let code = |need: Need, caller: Option<&Caller>| need.met_by(caller).err().map(|e| e.code);
         assert_eq!(code(Need::View, None).as_deref(), Some("not_logged_in"));

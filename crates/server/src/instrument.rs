@@ -23,6 +23,7 @@ impl App {
         let known = self.bench.known_calibrations(|_| {}).into_iter();
         let known = known.map(|c| (c.objective.clone(), c.um_per_px()));
         *crate::lock(&self.calibrated) = known.collect();
+        self.has_changed();
     }
 
     /// The instrument, for people and programs.

@@ -21,7 +21,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// No body is larger, bytes.
 const LARGEST_BODY: usize = 1 << 20;
@@ -55,7 +55,7 @@ fn route(
 
 /// All of them.
 pub(crate) fn table() -> Vec<Route> {
-    use Need::{Administer, Move, Nobody, Operate, View};
+    use Need::{Administer, AllowElsewhere, Move, Nobody, Operate, View};
     vec![
         route("GET", "/", Nobody, get(async || page::asset(""))),
         route(
@@ -91,6 +91,12 @@ pub(crate) fn table() -> Vec<Route> {
         route("POST", "/api/v1/lease", Move, post(take_lease)),
         route("POST", "/api/v1/lease/ask", Move, post(ask_lease)),
         route("POST", "/api/v1/lease/give", Move, post(give_lease)),
+        route(
+            "POST",
+            "/api/v1/elsewhere",
+            AllowElsewhere,
+            post(allow_elsewhere),
+        ),
         route("POST", "/api/v1/exposure", Move, post(set_exposure)),
         route("POST", "/api/v1/light", Move, post(set_light)),
         route("POST", "/api/v1/slide", Operate, post(set_slide)),
@@ -347,6 +353,34 @@ async fn ask_lease(State(app): Shared, Extension(caller): Extension<Caller>) -> 
 async fn give_lease(State(app): Shared, Extension(caller): Extension<Caller>) -> Answer {
     app.seat.give(&caller)?;
     Ok(Json(json!({"owner": app.seat.owner()})))
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Elsewhere {
+    minutes: f64,
+}
+
+/// The longest time for which motion from other machines is allowed: a working day.
+const LONGEST_MIN: f64 = 480.0;
+
+async fn allow_elsewhere(
+    State(app): Shared,
+    Extension(caller): Extension<Caller>,
+    request: Request,
+) -> Answer {
+    let Elsewhere { minutes } = body(request).await?;
+    if !(0.0..=LONGEST_MIN).contains(&minutes) {
+        return Err(ApiError::input("minutes is from 0, which ends it, to 480"));
+    }
+    let lasting = Duration::from_secs_f64(60.0 * minutes);
+    *crate::lock(&app.elsewhere) = (minutes > 0.0).then(|| Instant::now() + lasting);
+    app.audit.noted(
+        &caller,
+        "allowed motion from elsewhere",
+        json!({"minutes": minutes}),
+    )?;
+    Ok(Json(json!({"minutes": minutes})))
 }
 
 #[derive(Deserialize)]

@@ -13,13 +13,14 @@ use axum::extract::ConnectInfo;
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
-use scopeservo_scope::Instrument;
-use scopeservo_station::{Bus, Parts, Questions};
+use scopeservo_library::Calibrations as _;
+use scopeservo_scope::{Instrument, Length};
+use scopeservo_station::{Bus, MadeCalibration, Parts, Questions};
 use scopeservo_workbench::{Console, Late, Workbench};
 use std::io;
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -157,6 +158,20 @@ impl Server {
         }
     }
 
+    /// Keeps calibrations that were made elsewhere, of an instrument that is the same: a simulated one. What cannot be kept is made again.
+    pub fn keep_calibrations(&self, made: &[MadeCalibration]) {
+        let bench = &self.app.bench;
+        for made in made {
+            let z = made.focus_z_um.map(Length::from_um);
+            let name = &bench.config.name;
+            let calibration = &made.calibration;
+            let _ = bench
+                .library
+                .keep_calibration(name, calibration, z, made.residual_px);
+        }
+        self.app.learn_calibrated();
+    }
+
     /// The instrument.
     pub fn scope(&self) -> &Arc<Instrument> {
         &self.app.bench.scope
@@ -224,6 +239,8 @@ fn app(
         calibrated: Mutex::default(),
         names: Names::of(address, &settings.names),
         demo,
+        revision: AtomicU64::new(0),
+        elsewhere: Mutex::new(None),
         sockets: Arc::new(Semaphore::new(SOCKETS)),
         ends: AtomicBool::new(false),
         bench,

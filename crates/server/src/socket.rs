@@ -191,6 +191,8 @@ impl Client {
                 }
             }
             Said::Jog(way) => {
+                let near = self.caller.here || self.app.elsewhere_for().is_some();
+                self.caller.near = near;
                 let begun = match Need::Move.met_by(Some(&self.caller)) {
                     Ok(()) => {
                         self.blocking(move |app, caller| app.desk.jog(app, caller, way))

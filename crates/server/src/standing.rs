@@ -113,6 +113,8 @@ impl Standing {
             "jobs": recent.collect::<Vec<_>>(),
             "questions": questions.iter().map(question).collect::<Vec<_>>(),
             "camera": app.live.camera(),
+            "revision": app.revision.load(Ordering::SeqCst),
+            "elsewhere_s": app.elsewhere_for().map(|left| left.as_secs_f64()),
             "demo": app.demo.as_ref().map(|demo| json!({
                 "slide": if demo.is_moved.load(Ordering::SeqCst) { "moved" } else { "in" },
             })),

@@ -20,6 +20,7 @@ fn tempting(path: &str) -> Value {
     match path {
         "/api/v1/jobs" => json!({"job": "move", "by": {"x_um": 50.0}}),
         "/api/v1/exposure" => json!({"ms": 3.0}),
+        "/api/v1/elsewhere" => json!({"minutes": 1.0}),
         "/api/v1/light" => json!({"level": 0.1}),
         "/api/v1/users" => json!({"name": "eve", "password": "long enough", "role": "admin"}),
         "/api/v1/tokens" => json!({"name": "eve", "role": "admin"}),
@@ -174,6 +175,32 @@ fn a_token_is_a_person_without_a_browser() {
 }
 
 #[test]
+fn from_elsewhere_nothing_moves_until_somebody_here_allows_it() {
+    let mut bench = Bench::demo(HURRIED);
+    let visitor = bench.visitor();
+    let step = json!({"job": "move", "by": {"x_um": 5.0}}).to_string();
+    let through = [("x-forwarded-for", "10.0.0.7")];
+    let far = |path: &str, body: &str| visitor.with("POST", path, &through, body);
+    assert_eq!(far("/api/v1/jobs", &step).code(), "not_here");
+    assert_eq!(far("/api/v1/stop", "{}").status, 200);
+    // Nor can they allow it themselves.
+    assert_eq!(
+        far("/api/v1/elsewhere", "{\"minutes\": 5}").code(),
+        "not_here"
+    );
+    assert_eq!(bench.motions(), 0);
+    let allow = |minutes: f64| visitor.post("/api/v1/elsewhere", &json!({"minutes": minutes}));
+    assert_eq!(allow(-1.0).status, 400);
+    assert_eq!(allow(5.0).status, 200);
+    let begun = far("/api/v1/jobs", &step);
+    assert_eq!(begun.status, 202);
+    visitor.ended(begun.json()["id"].as_u64().unwrap());
+    assert_eq!(bench.motions(), 1);
+    allow(0.0);
+    assert_eq!(far("/api/v1/jobs", &step).code(), "not_here");
+}
+
+#[test]
 fn what_makes_no_sense_is_refused_with_a_sentence() {
     let mut bench = Bench::demo(HURRIED);
     let visitor = bench.visitor();
@@ -257,4 +284,30 @@ fn a_page_of_ours_loads_nothing_from_elsewhere_and_is_nobodys_frame() {
         !text.contains("http://") && !text.contains("https://"),
         "{text}"
     );
+}
+
+#[test]
+fn the_document_has_every_route_with_who_may() {
+    let document = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/server.md");
+    let text = std::fs::read_to_string(document).unwrap();
+    let table = text.split("<!-- routes").nth(1).unwrap();
+    let rows = table.lines().filter(|line| {
+        line.starts_with("| GET") || line.starts_with("| P") || line.starts_with("| DELETE")
+    });
+    let mut told: Vec<String> = rows
+        .map(|row| {
+            row.split('|')
+                .take(3)
+                .map(str::trim)
+                .collect::<Vec<_>>()
+                .join(" ")
+        })
+        .collect();
+    let mut there: Vec<String> = routes()
+        .into_iter()
+        .map(|[method, path, need]| format!(" {method} {path} {need}"))
+        .collect();
+    told.sort();
+    there.sort();
+    assert_eq!(told, there);
 }

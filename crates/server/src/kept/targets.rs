@@ -121,6 +121,7 @@ pub(crate) fn edit(app: &App, name: &str, edit: &Edit) -> Result<Value, ApiError
     let name = match &edit.name {
         Some(to) => {
             app.bench.library.rename_target(name, to)?;
+            app.has_changed();
             to
         }
         None => name,
@@ -131,5 +132,6 @@ pub(crate) fn edit(app: &App, name: &str, edit: &Edit) -> Result<Value, ApiError
 /// Takes it out; it lies in the bin.
 pub(crate) fn remove(app: &App, name: &str) -> Result<(), ApiError> {
     app.bench.library.remove_target(name)?;
+    app.has_changed();
     Ok(())
 }

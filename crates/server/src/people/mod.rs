@@ -40,6 +40,8 @@ pub(crate) struct Caller {
     pub(crate) key: String,
     /// On the computer at the microscope.
     pub(crate) here: bool,
+    /// Whether what moves may be asked from there: here, or where somebody here allowed it.
+    pub(crate) near: bool,
 }
 
 /// The user of a demonstration.
@@ -173,6 +175,7 @@ impl People {
             role,
             key,
             here,
+            near: here,
         })
     }
 
@@ -191,6 +194,7 @@ impl People {
             role: found.role.min(most),
             key,
             here,
+            near: here,
         })
     }
 

@@ -172,7 +172,13 @@ impl Client {
     }
 
     /// `headers` go before those that a browser sends, and replace them by name.
-    pub(crate) fn with(&self, method: &str, path: &str, headers: &[(&str, &str)], body: &str) -> Said {
+    pub(crate) fn with(
+        &self,
+        method: &str,
+        path: &str,
+        headers: &[(&str, &str)],
+        body: &str,
+    ) -> Said {
         let host = self.address.to_string();
         let cookie = self.cookie.clone().unwrap_or_default();
         let usual = [

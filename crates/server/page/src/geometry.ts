@@ -1,0 +1,48 @@
+// Where things lie in an image. Pixels are those of the full frame, x to the right and y down.
+
+import type { Affine } from "./types.ts";
+
+export type Point = [number, number];
+
+export function apply(map: Affine, [x, y]: Point): Point {
+  return [map[0][0] * x + map[0][1] * y + map[0][2], map[1][0] * x + map[1][1] * y + map[1][2]];
+}
+
+/** The inverse; null where the map is flat. */
+export function inverse(map: Affine): Affine | null {
+  const [[a, b, p], [c, d, q]] = map;
+  const det = a * d - b * c;
+  if (!(Math.abs(det) > 1e-12)) return null;
+  const [ia, ib, ic, id] = [d / det, -b / det, -c / det, a / det];
+  return [
+    [ia, ib, -(ia * p + ib * q)],
+    [ic, id, -(ic * p + id * q)],
+  ];
+}
+
+/** Corners of a saved view of that size where they lie in the present one. */
+export function outline(targetFromView: Affine, width: number, height: number): Point[] | null {
+  const viewFromTarget = inverse(targetFromView);
+  if (!viewFromTarget) return null;
+  const corners: Point[] = [
+    [0, 0],
+    [width, 0],
+    [width, height],
+    [0, height],
+  ];
+  return corners.map((corner) => apply(viewFromTarget, corner));
+}
+
+/** How far the map turns, degrees. */
+export function turnDeg(map: Affine): number {
+  return (Math.atan2(map[1][0] - map[0][1], map[0][0] + map[1][1]) * 180) / Math.PI;
+}
+
+/** A round length of 1, 2 or 5 that takes about a fifth of the width, um; null where the scale is not known. */
+export function scaleBar(umPerPx: number | null, widthPx: number): { um: number; px: number } | null {
+  if (!umPerPx || !(umPerPx > 0)) return null;
+  const most = (umPerPx * widthPx) / 4;
+  const power = 10 ** Math.floor(Math.log10(most));
+  const um = [5, 2, 1].map((n) => n * power).find((n) => n <= most) ?? power;
+  return { um, px: um / umPerPx };
+}

@@ -1,0 +1,57 @@
+// Keys of the whole page. Where somebody writes, letters are letters; Escape stops everywhere.
+
+import { busy, goBack, mayMove, start, stop } from "./act.ts";
+import { hold, release, type Way } from "./live/hold.ts";
+import { get, type Page, set } from "./store.ts";
+
+const WAYS: Record<string, Way> = {
+  ArrowUp: { y: -1 },
+  ArrowDown: { y: 1 },
+  ArrowLeft: { x: -1 },
+  ArrowRight: { x: 1 },
+  PageUp: { z: 1 },
+  PageDown: { z: -0.5 },
+  "[": { rz: -1 },
+  "]": { rz: 1 },
+};
+
+const PAGES: Record<string, Page> = { l: "live", t: "targets", r: "runs" };
+
+function isWriting(target: EventTarget | null): boolean {
+  return target instanceof HTMLInputElement || target instanceof HTMLSelectElement || target instanceof HTMLTextAreaElement;
+}
+
+function down(event: KeyboardEvent): void {
+  if (event.key === "Escape") {
+    stop();
+    return;
+  }
+  const model = get();
+  const isShut = document.querySelector("dialog[open]") !== null;
+  if (isShut || !model.me || isWriting(event.target) || event.ctrlKey || event.metaKey || event.altKey) return;
+  const way = WAYS[event.key];
+  if (way && model.page === "live" && mayMove()) {
+    event.preventDefault();
+    hold(`key ${event.key}`, way);
+    return;
+  }
+  if (event.repeat) return;
+  const key = event.key.toLowerCase();
+  if (key === "?") set({ help: true });
+  else if (PAGES[key]) set({ page: PAGES[key] });
+  else if (!mayMove() || busy()) return;
+  else if (key === "s") {
+    event.preventDefault();
+    set({ saving: true });
+  } else if (key === "g") void goBack(model.chosen);
+  else if (key === "f") void start({ job: "focus" });
+  else {
+    const objective = model.instrument?.objectives[Number(key) - 1];
+    if (objective) void start({ job: "objective", objective: objective.id });
+  }
+}
+
+export function listen(): void {
+  window.addEventListener("keydown", down);
+  window.addEventListener("keyup", (event) => release(`key ${event.key}`));
+}

@@ -1,0 +1,54 @@
+// The edge below, on every page: three verbs, and what one may go back to.
+
+import { attempt } from "../api.ts";
+import { goBack, stop } from "../act.ts";
+import { address } from "../api.ts";
+import { set, use } from "../store.ts";
+import { words } from "../words.ts";
+
+export function Bottom() {
+  const may = use((m) => m.me?.may_move ?? false);
+  const chosen = use((m) => m.chosen);
+  const busy = use((m) => m.state?.jobs.some((job) => job.state.state !== "ended") ?? false);
+  const demo = use((m) => m.state?.demo ?? null);
+  return (
+    <footer class="bottom">
+      {may && (
+        <button type="button" class="verb" disabled={busy} onClick={() => set({ saving: true })}>
+          {words.save} <kbd>S</kbd>
+        </button>
+      )}
+      {may && (
+        <button type="button" class="verb primary" disabled={busy || !chosen} onClick={() => void goBack(chosen)}>
+          {words.back}
+          {chosen && <span class="which">{chosen}</span>} <kbd>G</kbd>
+        </button>
+      )}
+      <Recent />
+      {may && demo && (
+        <button type="button" class="verb quiet" disabled={busy} onClick={() => void attempt("POST", "demo", { slide: "move" })}>
+          Take the slide out, put it back
+        </button>
+      )}
+      <button type="button" class="verb stop" onClick={stop}>
+        {words.stop} <kbd>Esc</kbd>
+      </button>
+    </footer>
+  );
+}
+
+function Recent() {
+  const targets = use((m) => m.targets);
+  const chosen = use((m) => m.chosen);
+  return (
+    <ul class="recent" aria-label="Saved views">
+      {targets.slice(0, 8).map((target) => (
+        <li key={target.name}>
+          <button type="button" aria-pressed={target.name === chosen} title={target.name} onClick={() => set({ chosen: target.name })}>
+            <img alt={target.name} src={address(`targets/${encodeURIComponent(target.name)}/thumb.jpg`)} />
+          </button>
+        </li>
+      ))}
+    </ul>
+  );
+}

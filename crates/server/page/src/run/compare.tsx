@@ -1,0 +1,29 @@
+// The saved view over the present one, with a slider between the two.
+
+import { useEffect, useRef, useState } from "preact/hooks";
+import { address } from "../api.ts";
+
+export function Compare({ name }: { name: string }) {
+  const now = useRef<HTMLCanvasElement>(null);
+  const [share, setShare] = useState(50);
+  // The view as it is when one begins to look: both stand still.
+  useEffect(() => {
+    const live = document.querySelector<HTMLCanvasElement>(".paper");
+    const paper = now.current;
+    if (!live || !paper) return;
+    paper.width = live.width;
+    paper.height = live.height;
+    paper.getContext("2d")?.drawImage(live, 0, 0);
+  }, []);
+  return (
+    <figure class="compare">
+      <div class="pair">
+        <canvas ref={now} aria-label="the view now" role="img" />
+        <img alt="the saved view" src={address(`targets/${encodeURIComponent(name)}/image.png`)} style={{ clipPath: `inset(0 ${100 - share}% 0 0)` }} />
+        <span class="edge" style={{ left: `${share}%` }} />
+      </div>
+      <input type="range" min="0" max="100" value={share} aria-label="between the saved view and the view now" onInput={(e) => setShare(Number(e.currentTarget.value))} />
+      <figcaption>left the saved view, right the view now</figcaption>
+    </figure>
+  );
+}

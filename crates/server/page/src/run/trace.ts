@@ -1,0 +1,106 @@
+// What a run has shown so far: made of its events, one after the other.
+
+import type { Affine, EventRecord } from "../types.ts";
+
+export type Step = {
+  objective: string;
+  iteration: number;
+  sequence: number;
+  errorUm: number;
+  errorDeg: number;
+  sigmaPx: number;
+  targetFromView: Affine;
+  inliers: number;
+  matches: number;
+  pairs: [number, number, number, number][];
+  converged: boolean;
+};
+
+export type Trace = {
+  job: number | null;
+  /** What it does now, for people. */
+  now: string;
+  objectives: string[];
+  steps: Step[];
+  lost: number;
+  views: number;
+  focus: { z: number; sharpness: number }[];
+  /** The verdict with its sentence, when it has come. */
+  outcome: Record<string, unknown> | null;
+  began_s: number | null;
+  last_s: number | null;
+};
+
+export const EMPTY: Trace = {
+  job: null,
+  now: "",
+  objectives: [],
+  steps: [],
+  lost: 0,
+  views: 0,
+  focus: [],
+  outcome: null,
+  began_s: null,
+  last_s: null,
+};
+
+const PHASES: Record<string, string> = {
+  switch: "changing the objective to",
+  focus: "focusing with",
+  identify: "looking whether it is",
+  calibrate: "measuring how the camera sees the stage with",
+  servo: "looking for the saved view with",
+};
+
+/** So many steps are remembered. */
+const STEPS = 200;
+
+type Motion = { t_m: [number, number]; theta_rad: number };
+
+function step(record: EventRecord): Step {
+  const error = record.error as Motion;
+  return {
+    objective: record.objective as string,
+    iteration: record.iteration as number,
+    sequence: record.sequence as number,
+    errorUm: 1e6 * Math.hypot(error.t_m[0], error.t_m[1]),
+    errorDeg: (error.theta_rad * 180) / Math.PI,
+    sigmaPx: record.sigma_px as number,
+    targetFromView: record.target_from_view as Affine,
+    inliers: record.inliers as number,
+    matches: record.matches as number,
+    pairs: record.pairs as Step["pairs"],
+    converged: record.converged as boolean,
+  };
+}
+
+/** The trace after one more event. A new job begins a new one. */
+export function follow(trace: Trace, record: EventRecord): Trace {
+  const of = record.job !== null && record.job !== trace.job && record.from === "procedure";
+  const before: Trace = of ? { ...EMPTY, job: record.job, began_s: record.time_s } : trace;
+  if (record.from !== "procedure") return trace;
+  const after = { ...before, last_s: record.time_s };
+  switch (record.event) {
+    case "started":
+      return { ...after, objectives: record.objectives as string[] };
+    case "phase_started": {
+      const phase = PHASES[record.phase as string] ?? record.phase;
+      return { ...after, now: `${phase} ${record.objective}`, focus: [], views: 0 };
+    }
+    case "focus_sample":
+      return { ...after, focus: [...after.focus, { z: record.z_um as number, sharpness: record.sharpness as number }].slice(-60) };
+    case "calibration_view":
+      return { ...after, views: (record.index as number) + 1 };
+    case "iteration": {
+      const next = step(record);
+      const now = next.converged ? `${next.objective}: within the tolerance, looking once more` : `${next.objective}: going there`;
+      return { ...after, now, steps: [...after.steps, next].slice(-STEPS) };
+    }
+    case "lost":
+      return { ...after, lost: after.lost + 1, now: "the saved view is not found here" };
+    case "finished":
+      return { ...after, outcome: record.outcome as Record<string, unknown>, now: "" };
+    default:
+      return after;
+  }
+}

@@ -1,0 +1,165 @@
+// Saved views as a contact sheet.
+
+import { useMemo, useState } from "preact/hooks";
+import { address } from "../api.ts";
+import { goBack, remove, rename } from "../act.ts";
+import { length, moment } from "../format.ts";
+import { scaleBar } from "../geometry.ts";
+import { set, use } from "../store.ts";
+import type { Target } from "../types.ts";
+import { Dialog } from "../parts/dialog.tsx";
+import { Row } from "../run/runs.tsx";
+import { words } from "../words.ts";
+
+export function Targets() {
+  const targets = use((m) => m.targets);
+  const [text, setText] = useState("");
+  const [quality, setQuality] = useState("");
+  const [open, setOpen] = useState<string | null>(null);
+  const shown = useMemo(() => {
+    const wanted = text.trim().toLowerCase();
+    const has = (t: Target) => [t.name, t.slide ?? "", t.note ?? ""].some((s) => s.toLowerCase().includes(wanted));
+    return targets.filter((t) => has(t) && (!quality || t.quality?.word === quality));
+  }, [targets, text, quality]);
+  const one = targets.find((t) => t.name === open);
+  return (
+    <main class="sheet">
+      <div class="row wide">
+        <h1>Targets</h1>
+        <span class="grow" />
+        <label>
+          <span class="hidden">search</span>
+          <input type="search" placeholder="search" value={text} onInput={(e) => setText(e.currentTarget.value)} />
+        </label>
+        <label>
+          <span class="hidden">quality</span>
+          <select value={quality} onChange={(e) => setQuality(e.currentTarget.value)}>
+            <option value="">any quality</option>
+            {Object.entries(words.quality).map(([word, name]) => (
+              <option key={word} value={word}>
+                {name}
+              </option>
+            ))}
+          </select>
+        </label>
+      </div>
+      {targets.length === 0 && <p class="soft">{words.noTargets}</p>}
+      {targets.length > 0 && shown.length === 0 && <p class="soft">None of {targets.length} is like that.</p>}
+      <ul class="contact">
+        {shown.map((target) => (
+          <li key={target.name}>
+            <Card target={target} onOpen={() => setOpen(target.name)} />
+          </li>
+        ))}
+      </ul>
+      {one && <Open target={one} onClose={() => setOpen(null)} />}
+    </main>
+  );
+}
+
+function picture(name: string, kind: "thumb.jpg" | "image.png"): string {
+  return address(`targets/${encodeURIComponent(name)}/${kind}`);
+}
+
+function Card({ target, onOpen }: { target: Target; onOpen: () => void }) {
+  const may = use((m) => m.me?.may_move ?? false);
+  if (target.damaged) {
+    return (
+      <article class="target">
+        <h2>{target.name}</h2>
+        <p class="bad">{target.damaged}</p>
+      </article>
+    );
+  }
+  const bar = scaleBar(target.um_per_px ?? null, target.width ?? 640);
+  return (
+    <article class="target">
+      <div class="picture">
+        <button type="button" onClick={onOpen} aria-label={`open ${target.name}`}>
+          <img alt="" src={picture(target.name, "thumb.jpg")} loading="lazy" />
+        </button>
+        {bar && target.width && (
+          <span class="scale" style={{ width: `${(100 * bar.px) / target.width}%` }}>
+            {length(bar.um).replace(".0 ", " ").replace(".00 ", " ")}
+          </span>
+        )}
+      </div>
+      <h2>{target.name}</h2>
+      <p class="soft">
+        {[target.slide, target.objective, moment(target.saved)].filter(Boolean).join(" · ")}
+      </p>
+      <p>
+        <span class={`tag ${target.quality?.word ?? ""}`} title={target.quality?.text}>
+          {words.quality[target.quality?.word ?? "unknown"]}
+        </span>
+      </p>
+      {may && (
+        <button type="button" class="primary" onClick={() => void goBack(target.name)}>
+          {words.back}
+        </button>
+      )}
+    </article>
+  );
+}
+
+function Open({ target, onClose }: { target: Target; onClose: () => void }) {
+  const runs = use((m) => m.runs).filter((run) => run.target === target.name && run.job === "reposition");
+  const may = use((m) => m.me?.role !== "viewer");
+  const [name, setName] = useState(target.name);
+  const [sure, setSure] = useState(false);
+  return (
+    <Dialog title={target.name} onClose={onClose}>
+      <img class="large" alt={`the saved view ${target.name}`} src={picture(target.name, "image.png")} />
+      <p>It {target.quality?.text}.</p>
+      <p class="soft">
+        {[target.slide && `slide ${target.slide}`, target.objective, `${target.features} features`, `saved ${moment(target.saved)}`, target.instrument].filter(Boolean).join(" · ")}
+      </p>
+      {may && (
+        <form
+          class="row"
+          onSubmit={(event) => {
+            event.preventDefault();
+            void rename(target.name, name.trim()).then(onClose);
+          }}
+        >
+          <label>
+            <span class="hidden">name</span>
+            <input value={name} onInput={(e) => setName(e.currentTarget.value)} />
+          </label>
+          <button type="submit" disabled={name.trim() === target.name || name.trim() === ""}>
+            Rename
+          </button>
+          <span class="grow" />
+          {sure ? (
+            <button type="button" class="danger" onClick={() => void remove(target.name).then(onClose)}>
+              Yes, take it out
+            </button>
+          ) : (
+            <button type="button" onClick={() => setSure(true)}>
+              Remove …
+            </button>
+          )}
+        </form>
+      )}
+      <h3>Visits</h3>
+      {runs.length === 0 && <p class="soft">Nobody came back to it yet.</p>}
+      {runs.slice(0, 20).map((run) => (
+        <Row key={run.id} run={run} />
+      ))}
+      <div class="row end">
+        <button
+          type="button"
+          onClick={() => {
+            set({ chosen: target.name });
+            onClose();
+          }}
+        >
+          Choose
+        </button>
+        <button type="button" class="primary" onClick={onClose}>
+          Close
+        </button>
+      </div>
+    </Dialog>
+  );
+}

@@ -1,0 +1,95 @@
+import { strict as assert } from "node:assert";
+import { test } from "node:test";
+import { apply, inverse, outline, scaleBar, turnDeg, type Point } from "../src/geometry.ts";
+import { age, duration, fixed, freeName, length } from "../src/format.ts";
+import { follow, EMPTY } from "../src/run/trace.ts";
+import type { Affine, EventRecord } from "../src/types.ts";
+
+const near = (a: number, b: number) => assert.ok(Math.abs(a - b) < 1e-9, `${a} is not ${b}`);
+
+test("a saved view at four times the scale, turned by 30 degrees, lies where it was found", () => {
+  const [c, s] = [4 * Math.cos(Math.PI / 6), 4 * Math.sin(Math.PI / 6)];
+  const map: Affine = [
+    [c, -s, 7],
+    [s, c, -11],
+  ];
+  near(turnDeg(map), 30);
+  const corners = outline(map, 640, 480) ?? assert.fail("no outline");
+  const back = corners.map((corner) => apply(map, corner));
+  const expected: Point[] = [
+    [0, 0],
+    [640, 0],
+    [640, 480],
+    [0, 480],
+  ];
+  back.forEach((corner, k) => {
+    near(corner[0], expected[k][0]);
+    near(corner[1], expected[k][1]);
+  });
+  near(Math.hypot(corners[1][0] - corners[0][0], corners[1][1] - corners[0][1]), 160);
+  assert.equal(
+    inverse([
+      [1, 2, 0],
+      [2, 4, 0],
+    ]),
+    null,
+  );
+});
+
+test("a scale bar is a round length that fits", () => {
+  assert.deepEqual(scaleBar(0.5, 640), { um: 50, px: 100 });
+  assert.deepEqual(scaleBar(2.2, 640), { um: 200, px: 200 / 2.2 });
+  assert.equal(scaleBar(null, 640), null);
+  assert.equal(scaleBar(0, 640), null);
+});
+
+test("numbers are said with their unit, and nothing is minus nothing", () => {
+  assert.equal(fixed(-0.001, 2), "0.00");
+  assert.equal(fixed(-0.01, 2), "-0.01");
+  assert.equal(length(0.354), "0.35 µm");
+  assert.equal(length(78.84), "78.8 µm");
+  assert.equal(length(12_960), "13.0 mm");
+  assert.equal(duration(7.26), "7.3 s");
+  assert.equal(duration(125), "2 min 5 s");
+  assert.deepEqual([1.9, 5, 300, 8000].map(age), ["", "5 s old", "5 min old", "2 h old"]);
+});
+
+test("a name is free whatever its letters' case", () => {
+  assert.equal(freeName("view", []), "view-1");
+  assert.equal(freeName("view", ["View-1", "view-3"]), "view-2");
+});
+
+const record = (job: number | null, event: Record<string, unknown>, from = "procedure"): EventRecord =>
+  ({ number: 0, time_s: 10, job, from, ...event }) as EventRecord;
+
+const iteration = {
+  event: "iteration",
+  objective: "10x",
+  iteration: 0,
+  sequence: 5,
+  error: { t_m: [3e-6, -4e-6], theta_rad: Math.PI / 180 },
+  sigma_px: 0.1,
+  target_from_view: [
+    [1, 0, 0],
+    [0, 1, 0],
+  ],
+  inliers: 60,
+  matches: 80,
+  pairs: [],
+  converged: false,
+};
+
+test("a run is what its events told, and another job begins another", () => {
+  let trace = follow(EMPTY, record(3, { event: "started", objectives: ["10x", "40x"] }));
+  trace = follow(trace, record(3, { event: "phase_started", phase: "servo", objective: "10x" }));
+  trace = follow(trace, record(3, iteration));
+  near(trace.steps[0].errorUm, 5);
+  near(trace.steps[0].errorDeg, 1);
+  assert.deepEqual(trace.objectives, ["10x", "40x"]);
+  trace = follow(trace, record(3, { event: "lost" }));
+  assert.equal(trace.lost, 1);
+  trace = follow(trace, record(3, { event: "job_ended" }, "station"));
+  assert.equal(trace.steps.length, 1);
+  trace = follow(trace, record(4, { event: "phase_started", phase: "focus", objective: "40x" }));
+  assert.deepEqual([trace.job, trace.steps.length, trace.lost], [4, 0, 0]);
+});

@@ -1,0 +1,212 @@
+// The page as people use it, in a real browser, on the simulated microscope that the program serves.
+//   SCOPESERVO=target/release/scopeservo [SCOPESERVO_CHROMIUM=/usr/bin/chromium] [SCREENSHOTS=folder] npm run walk
+import { spawn } from "node:child_process";
+import { strict as assert } from "node:assert";
+import { mkdirSync, readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { chromium } from "playwright-core";
+
+const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const shots = process.env.SCREENSHOTS;
+if (shots) mkdirSync(shots, { recursive: true });
+
+function serve() {
+  const program = process.env.SCOPESERVO ?? "scopeservo";
+  const child = spawn(program, ["serve", "--demo", "--listen", "127.0.0.1:0"], { stdio: ["ignore", "pipe", "inherit"] });
+  return new Promise((resolve, reject) => {
+    let said = "";
+    child.stdout.on("data", (bytes) => {
+      said += bytes;
+      const link = /open (\S+)/.exec(said);
+      if (link) resolve({ link: link[1], end: () => new Promise((ended) => (child.on("exit", ended), child.kill("SIGINT"))) });
+    });
+    process.on("exit", () => child.kill());
+    child.on("exit", (code) => reject(new Error(`the program ended with ${code}`)));
+  });
+}
+
+const SIZES = { desk: { width: 1400, height: 900 }, phone: { width: 390, height: 844, touch: true } };
+const LONG = { timeout: 60_000 };
+
+async function shoot(page, size, name) {
+  if (shots) await page.screenshot({ path: `${shots}/${size}-${name}.png` });
+}
+
+async function wellFormed(page, where) {
+  await page.evaluate(axe);
+  const found = await page.evaluate(() => globalThis.axe.run(document, { resultTypes: ["violations"] }));
+  const serious = found.violations.filter((v) => ["serious", "critical"].includes(v.impact));
+  assert.deepEqual(serious.map((v) => [v.id, v.nodes.map((n) => n.html.slice(0, 120))]), [], where);
+}
+
+async function opened(browser, link, { touch, ...viewport }, more = {}) {
+  const context = await browser.newContext({ viewport, hasTouch: Boolean(touch), isMobile: Boolean(touch), ...more });
+  const page = await context.newPage();
+  page.setDefaultTimeout(20_000);
+  const wrong = [];
+  page.on("pageerror", (error) => wrong.push(String(error)));
+  page.on("console", (message) => message.type() === "error" && !/401|409/.test(message.text()) && wrong.push(message.text()));
+  await page.goto(link);
+  await page.locator(".paper[data-seq]").waitFor(LONG);
+  assert.equal(new URL(page.url()).hash, "", "the key stays in no address");
+  return { page, wrong, end: () => context.close() };
+}
+
+const state = (page) => page.evaluate(() => fetch("api/v1/state").then((answer) => answer.json()));
+
+async function until(page, is, what) {
+  const since = Date.now();
+  for (;;) {
+    const now = await state(page);
+    if (is(now)) return now;
+    assert.ok(Date.now() - since < LONG.timeout, what);
+    await page.waitForTimeout(50);
+  }
+}
+
+const idle = (page) => until(page, (s) => s.jobs.every((job) => job.state.state === "ended"), "a job goes on");
+
+/** A first save and return: so many presses of the pointer or of Enter. */
+async function saveAndReturn(page, size) {
+  let clicks = 0;
+  const click = async (name) => {
+    await page.getByRole("button", { name }).click();
+    clicks += 1;
+  };
+  await click(/^Save this view/);
+  await page.getByRole("dialog", { name: "Save this view" }).waitFor();
+  await shoot(page, size, "saving");
+  await page.keyboard.press("Enter");
+  clicks += 1;
+  await page.getByRole("heading", { name: /^Done/ }).waitFor(LONG);
+  await shoot(page, size, "saved");
+  await click(/^Take the slide out/);
+  await until(page, (s) => s.demo.slide === "moved", "the slide was not moved");
+  await click(/^Go back/);
+  await page.getByText(/away, .*turned/).waitFor(LONG);
+  await shoot(page, size, "running");
+  await page.getByRole("heading", { name: /^Arrived/ }).waitFor(LONG);
+  await shoot(page, size, "arrived");
+  assert.ok(clicks <= 5, `${clicks} clicks`);
+  console.log(`${size}: ${clicks} clicks for a first save and return`);
+  await page.getByRole("button", { name: "Before and after" }).click();
+  await page.locator(".compare").waitFor();
+  await wellFormed(page, `${size}: arrived`);
+  await shoot(page, size, "compared");
+}
+
+async function atDesk(browser, link) {
+  const { page, wrong, end } = await opened(browser, link, SIZES.desk);
+  await shoot(page, "desk", "live");
+  await wellFormed(page, "live");
+  assert.ok(await page.getByText("simulated", { exact: true }).isVisible());
+  // The objective, by its key; then all of a first visit.
+  await page.keyboard.press("3");
+  await until(page, (s) => s.objective === "40x", "the objective did not change");
+  await idle(page);
+  await saveAndReturn(page, "desk");
+  await page.getByRole("button", { name: "Close" }).click();
+  // Held by a key: the stage moves, and stands when the key is let go; a second time it is stopped by Escape.
+  const before = (await state(page)).at;
+  await page.keyboard.down("ArrowRight");
+  await page.waitForTimeout(900);
+  await page.keyboard.up("ArrowRight");
+  const after = (await idle(page), await state(page)).at;
+  assert.ok(Math.hypot(after.x_um - before.x_um, after.y_um - before.y_um) > 5, "the key moved nothing");
+  await page.keyboard.down("ArrowLeft");
+  await page.waitForTimeout(400);
+  await page.keyboard.press("Escape");
+  await page.keyboard.up("ArrowLeft");
+  await idle(page);
+  // A click centres: what was there is in the middle then, so that the same place moves no more by a second click in the middle.
+  const paper = await page.locator(".paper").boundingBox();
+  await page.mouse.click(paper.x + paper.width / 2 + 60, paper.y + paper.height / 2);
+  await until(page, (s) => s.jobs[0].kind === "centre" && s.jobs[0].state.state === "ended", "the click did not centre");
+  await page.getByRole("button", { name: "Targets" }).click();
+  await page.getByRole("button", { name: /^open / }).waitFor();
+  await shoot(page, "desk", "targets");
+  await wellFormed(page, "targets");
+  await page.getByRole("button", { name: /^open / }).click();
+  await page.getByRole("heading", { name: "Visits" }).waitFor();
+  await shoot(page, "desk", "target");
+  await page.getByRole("button", { name: "Close" }).click();
+  await page.keyboard.press("r");
+  await page.getByRole("heading", { name: "Runs" }).waitFor();
+  await shoot(page, "desk", "runs");
+  await wellFormed(page, "runs");
+  await page.keyboard.press("?");
+  await shoot(page, "desk", "keys");
+  await page.getByRole("button", { name: "Close" }).click();
+  await page.getByRole("button", { name: "People" }).click();
+  await page.getByRole("heading", { name: "People" }).waitFor();
+  await shoot(page, "desk", "people");
+  await wellFormed(page, "people");
+  // What is refused says why and stays.
+  await page.evaluate(() => fetch("api/v1/jobs", { method: "POST", headers: { "content-type": "application/json" }, body: '{"job":"move","to":{"x_um":99999}}' }));
+  await page.getByRole("alert").waitFor(LONG);
+  await page.keyboard.press("l");
+  await shoot(page, "desk", "refused");
+  await page.getByRole("button", { name: "Understood" }).click();
+  assert.equal(await page.getByRole("alert").count(), 0);
+  assert.deepEqual(wrong, []);
+  await end();
+}
+
+async function onPhone(browser, link) {
+  const { page, wrong, end } = await opened(browser, link, SIZES.phone);
+  await shoot(page, "phone", "live");
+  const stop = await page.getByRole("button", { name: /^Stop/ }).boundingBox();
+  assert.ok(stop.height >= 48 && stop.y + stop.height <= SIZES.phone.height, "Stop is out of reach");
+  await page.getByRole("button", { name: "Controls" }).click();
+  await shoot(page, "phone", "controls");
+  await wellFormed(page, "phone: controls");
+  await page.getByRole("button", { name: "Hide controls" }).click();
+  await page.getByRole("button", { name: /^Go back/ }).click();
+  await page.getByRole("heading", { name: /^Arrived/ }).waitFor(LONG);
+  await shoot(page, "phone", "arrived");
+  await page.getByRole("button", { name: "Targets" }).click();
+  await shoot(page, "phone", "targets");
+  await wellFormed(page, "phone: targets");
+  assert.deepEqual(wrong, []);
+  await end();
+}
+
+async function others(browser, link, end) {
+  // Light, and with more contrast.
+  const light = await opened(browser, link, SIZES.desk);
+  await light.page.getByRole("button", { name: "make the page light" }).click();
+  await shoot(light.page, "desk", "light");
+  await wellFormed(light.page, "light");
+  await light.end();
+  const contrast = await opened(browser, link, SIZES.desk, { contrast: "more" });
+  await shoot(contrast.page, "desk", "contrast");
+  await contrast.end();
+  const stranger = await browser.newContext({ viewport: SIZES.desk });
+  const page = await stranger.newPage();
+  await page.goto(link.replace(/#.*/, ""));
+  await page.getByRole("button", { name: "Log in" }).waitFor();
+  await shoot(page, "desk", "login");
+  await wellFormed(page, "login");
+  await stranger.close();
+  // The program ends while somebody looks.
+  const lost = await opened(browser, link, SIZES.desk);
+  await end();
+  await lost.page.getByText(/^Connection lost/).waitFor(LONG);
+  await lost.page.getByText(/^not live/).waitFor(LONG);
+  await lost.page.waitForTimeout(2500);
+  await shoot(lost.page, "desk", "lost");
+  await lost.end();
+}
+
+const { link, end } = await serve();
+const executablePath = process.env.SCOPESERVO_CHROMIUM ?? "/usr/bin/chromium";
+const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+try {
+  await atDesk(browser, link);
+  await onPhone(browser, link);
+  await others(browser, link, end);
+  console.log("all of it works");
+} finally {
+  await browser.close();
+}
+process.exit(0);
