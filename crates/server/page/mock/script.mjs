@@ -12,7 +12,7 @@ function iteration(objective, k, { um, deg, map, inliers, matches, sigma_px, con
   const pairs = Array.from({ length: 40 }, (_, n) => [90 + ((n * 37) % 140), 70 + ((n * 53) % 100), (n * 97) % 320, (n * 61) % 240]);
   const error = { t_m: [um * 0.6e-6, um * 0.8e-6], theta_rad: (deg * Math.PI) / 180 };
   const velocity = { t_m: error.t_m.map((v) => -v), theta_rad: -error.theta_rad };
-  return { event: "iteration", objective, iteration: k, sequence: 100 + k, stage: { x: 0, y: 0, z: 0, rz: 0 }, error, velocity, target_from_view: map, inliers, matches, sigma_px, pairs, converged };
+  return { event: "iteration", objective, iteration: k, sequence: 100 + k, error, velocity, target_from_view: map, inliers, matches, sigma_px, pairs, converged };
 }
 
 const focus = (objective) => [

@@ -8,7 +8,7 @@ import { Refusal, World } from "./world.mjs";
 const BUILT = new URL("../built/", import.meta.url);
 const KINDS = { html: "text/html; charset=utf-8", js: "text/javascript; charset=utf-8", css: "text/css; charset=utf-8" };
 /** Nothing from elsewhere, nothing written into the page: as the program has it. */
-const CSP = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'";
+const CSP = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; font-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 const FRAME_MS = 80;
 
 /** Routes by method and pattern; what they answer is JSON, or bytes with a kind. */
@@ -135,14 +135,19 @@ export async function serve(world = new World(), port = 0) {
     );
   });
   const sockets = new WebSocketServer({ noServer: true });
+  let connections = 0;
   server.on("upgrade", (request, socket, head) => {
     if (world.blocked || world.down || !world.loggedIn) return void socket.destroy();
-    sockets.handleUpgrade(request, socket, head, (open) => connected(world, open));
+    sockets.handleUpgrade(request, socket, head, (open) => {
+      connections += 1;
+      connected(world, open);
+    });
   });
   await new Promise((done) => server.listen(port, "127.0.0.1", done));
   return {
     world,
     link: `http://127.0.0.1:${server.address().port}/`,
+    connections: () => connections,
     cut: () => sockets.clients.forEach((client) => client.terminate()),
     end: () => (sockets.clients.forEach((client) => client.terminate()), server.closeAllConnections(), server.close()),
   };

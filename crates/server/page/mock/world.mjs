@@ -110,9 +110,11 @@ export class World {
       await new Promise((done) => setTimeout(done, STEP_MS));
       while (job.state.state === "paused") await new Promise((done) => setTimeout(done, 20));
       if (job.state.state === "ended") return;
-      this.tell(job.id, event);
+      const { x_um, y_um, rz_deg } = this.at;
+      const seenFrom = event.event === "iteration" && { stage: { x: x_um * 1e-6, y: y_um * 1e-6, z: 0, rz: (rz_deg * Math.PI) / 180 } };
+      this.tell(job.id, { ...event, ...seenFrom });
       if (event.event === "phase_started") this.objective = event.objective;
-      if (event.event === "iteration") this.at = { ...this.at, x_um: this.at.x_um + 3 };
+      if (event.event === "iteration" && !event.converged) this.at = { ...this.at, x_um: this.at.x_um + 3 };
     }
     if (job.kind === "jog") return;
     await new Promise((done) => setTimeout(done, STEP_MS));

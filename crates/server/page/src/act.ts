@@ -2,22 +2,57 @@
 
 import { attempt } from "./api.ts";
 import { refresh } from "./heard.ts";
+import { releaseAll } from "./live/hold.ts";
 import { say } from "./socket.ts";
-import { get, set } from "./store.ts";
+import { get, type Model, set, use } from "./store.ts";
 
-/** Everything stands still: by every way there is, and never asking. */
+/** Everything stands still: by every way there is, and never asking. What is held is held no more. */
 export function stop(): void {
+  releaseAll();
   say({ type: "stop" });
   void attempt("POST", "stop");
 }
 
-export function mayMove(): boolean {
-  return get().me?.may_move ?? false;
+/** Whether this one may move, nobody else drives, and the computer at the microscope answers. */
+function drives(m: Model): boolean {
+  const owner = m.state?.owner ?? null;
+  return (m.me?.may_move ?? false) && (owner === null || owner === m.me?.user || (m.state?.mine ?? false)) && m.link !== "lost" && m.state !== null;
 }
 
-/** The job that works, and is no step by hand. */
-export function busy(): boolean {
-  return get().state?.jobs.some((job) => job.state.state !== "ended") ?? false;
+function underWay(m: Model): string[] {
+  return (m.state?.jobs ?? []).filter((job) => job.state.state !== "ended").map((job) => job.kind);
+}
+
+function canStart(m: Model): boolean {
+  return drives(m) && underWay(m).length === 0;
+}
+
+/** Whether a job that is asked for now would be begun. */
+export function mayStart(): boolean {
+  return canStart(get());
+}
+
+/** The same, for what is drawn. */
+export function useMayStart(): boolean {
+  return use(canStart);
+}
+
+/** For what may be set while something is under way. */
+export function useDrives(): boolean {
+  return use(drives);
+}
+
+function canHold(m: Model): boolean {
+  return drives(m) && underWay(m).every((kind) => kind === "jog");
+}
+
+/** Whether one may begin to hold: nothing but what is held already is under way. */
+export function mayHold(): boolean {
+  return canHold(get());
+}
+
+export function useMayHold(): boolean {
+  return use(canHold);
 }
 
 export async function start(job: Record<string, unknown>): Promise<number | null> {

@@ -14,6 +14,11 @@ export function length(um: number): string {
   return `${fixed(um, 2)} µm`;
 }
 
+/** A fine step of the focus, um: about a depth of field of usual objectives at this scale. */
+export function fineStep(umPerPx: number): number {
+  return Math.max(0.5, Math.round(umPerPx * 4 * 2) / 2);
+}
+
 /** How old something is, said once it matters. */
 export function age(seconds: number): string {
   if (seconds < 2) return "";

@@ -1,6 +1,6 @@
 // Where things lie in an image. Pixels are those of the full frame, x to the right and y down.
 
-import type { Affine } from "./types.ts";
+import type { Affine, Place } from "./types.ts";
 
 export type Point = [number, number];
 
@@ -36,6 +36,12 @@ export function outline(targetFromView: Affine, width: number, height: number): 
 /** How far the map turns, degrees. */
 export function turnDeg(map: Affine): number {
   return (Math.atan2(map[1][0] - map[0][1], map[0][0] + map[1][1]) * 180) / Math.PI;
+}
+
+/** Whether the stage stands elsewhere: by more than it scatters, 1 um or 0.05 degrees. */
+export function isAway(from: Place, at: Place): boolean {
+  const by = (a?: number, b?: number) => (a === undefined || b === undefined ? 0 : Math.abs(a - b));
+  return Math.hypot(by(from.x_um, at.x_um), by(from.y_um, at.y_um)) > 1 || by(from.rz_deg, at.rz_deg) > 0.05;
 }
 
 /** A round length of 1, 2 or 5 that takes about a fifth of the width, um; null where the scale is not known. */

@@ -1,7 +1,7 @@
 // Keys of the whole page. Where somebody writes, letters are letters; Escape stops everywhere.
 
-import { busy, goBack, mayMove, start, stop } from "./act.ts";
-import { hold, release, type Way } from "./live/hold.ts";
+import { goBack, mayStart, start, stop, mayHold } from "./act.ts";
+import { hold, release, releaseAll, type Way } from "./live/hold.ts";
 import { get, type Page, set } from "./store.ts";
 
 const WAYS: Record<string, Way> = {
@@ -30,16 +30,17 @@ function down(event: KeyboardEvent): void {
   const isShut = document.querySelector("dialog[open]") !== null;
   if (isShut || !model.me || isWriting(event.target) || event.ctrlKey || event.metaKey || event.altKey) return;
   const way = WAYS[event.key];
-  if (way && model.page === "live" && mayMove()) {
+  if (way && model.page === "live") {
     event.preventDefault();
-    hold(`key ${event.key}`, way);
+    // A key that is held on repeats itself: only its first word counts, so that what was stopped stays so.
+    if (!event.repeat && mayHold()) hold(`key ${event.code}`, way);
     return;
   }
   if (event.repeat) return;
   const key = event.key.toLowerCase();
   if (key === "?") set({ help: true });
   else if (PAGES[key]) set({ page: PAGES[key] });
-  else if (!mayMove() || busy()) return;
+  else if (!mayStart()) return;
   else if (key === "s") {
     event.preventDefault();
     set({ saving: true });
@@ -53,5 +54,10 @@ function down(event: KeyboardEvent): void {
 
 export function listen(): void {
   window.addEventListener("keydown", down);
-  window.addEventListener("keyup", (event) => release(`key ${event.key}`));
+  // By its place, not its name: a key has another name when Shift comes along.
+  window.addEventListener("keyup", (event) => {
+    release(`key ${event.code}`);
+    // Some systems tell nothing of keys that are let go of while this one is held.
+    if (event.key === "Meta") releaseAll();
+  });
 }

@@ -5,6 +5,9 @@ import { onEvent, onState } from "./heard.ts";
 import { get, set } from "./store.ts";
 import type { EventRecord, FrameHead, State } from "./types.ts";
 
+/** The server says how things stand every second: who says nothing for so long is gone, ms. */
+const SILENT_MS = 4000;
+
 /** Draws a picture; called with each frame. */
 type Painter = (picture: ImageBitmap, head: FrameHead) => void;
 
@@ -23,6 +26,13 @@ let next: number | null = null;
 let painter: Painter | null = null;
 let polling = false;
 let isWatching = false;
+let heardAt = 0;
+const ears: (() => void)[] = [];
+
+/** What is to be done when the connection is gone. */
+export function onLost(ear: () => void): void {
+  ears.push(ear);
+}
 
 export function paintWith(paint: Painter | null): void {
   painter = paint;
@@ -52,25 +62,40 @@ export function connect(): void {
   socket = opening;
   opening.onopen = () => {
     failures = 0;
+    heardAt = performance.now();
     isWatching = false;
     set({ link: "live" });
     if (next !== null) say({ type: "from", number: next });
     watch();
   };
   opening.onmessage = (message) => {
+    heardAt = performance.now();
     if (typeof message.data === "string") told(JSON.parse(message.data));
     else void shown(message.data as ArrayBuffer);
   };
-  opening.onclose = () => {
-    socket = null;
-    isWatching = false;
-    failures += 1;
-    if (get().me === null) return;
-    if (get().link === "live") set({ link: "lost" });
-    const wait = Math.min(FIRST_MS * 2 ** (failures - 1), LONGEST_MS);
-    setTimeout(connect, wait);
-    if (failures >= BLOCKED) void poll();
-  };
+  opening.onclose = closed;
+}
+
+function closed(): void {
+  socket = null;
+  isWatching = false;
+  failures += 1;
+  for (const ear of ears) ear();
+  if (get().me === null) return;
+  if (get().link === "live") set({ link: "lost" });
+  const wait = Math.min(FIRST_MS * 2 ** (failures - 1), LONGEST_MS);
+  setTimeout(connect, wait);
+  if (failures >= BLOCKED) void poll();
+}
+
+/** A connection may die without a word, as when a network goes: then it is closed from here. */
+function listenForSilence(): void {
+  const silent = socket;
+  if (silent?.readyState !== WebSocket.OPEN || performance.now() - heardAt < SILENT_MS) return;
+  silent.onclose = null;
+  silent.onmessage = null;
+  silent.close();
+  closed();
 }
 
 export function disconnect(): void {
@@ -175,7 +200,12 @@ function polled(before: FrameHead | null): FrameHead {
   };
 }
 
-setInterval(() => {
-  if (get().state?.mine) say({ type: "alive" });
-}, ALIVE_MS);
+/** Whoever drives says that they are there, over whatever there is. */
+function alive(): void {
+  if (!get().state?.mine || say({ type: "alive" })) return;
+  if (get().link === "polling") void ask("POST", "lease").catch(() => null);
+}
+
+setInterval(alive, ALIVE_MS);
+setInterval(listenForSilence, 1000);
 document.addEventListener("visibilitychange", watch);

@@ -8,6 +8,7 @@ export const words = {
   live: "live",
   lost: "Connection lost. What the instrument does now is not known here; trying again …",
   polling: "asking again and again: a lasting connection is blocked",
+  noHold: "Holding to move needs the lasting connection, which there is not now. Click in the view, or use the steps.",
   stale: "not live",
   opening: "Opening the instrument …",
   noTargets: "Nothing is saved yet. Bring what you want to find again into the view, and press S.",

@@ -1,6 +1,9 @@
 // Held to move: said again ten times a second while it is held, and ended whenever it may not be held any more.
+// What was ended otherwise than by letting go, by Stop or because nobody looks, begins again only when it is pressed anew.
 
-import { say } from "../socket.ts";
+import { onLost, say } from "../socket.ts";
+import { get, set } from "../store.ts";
+import { words } from "../words.ts";
 
 export type Way = { x?: number; y?: number; z?: number; rz?: number };
 
@@ -23,6 +26,10 @@ function word(): void {
 /** Begins to hold; `by` is the key or the button. */
 export function hold(by: string, way: Way): void {
   if (ways.has(by)) return;
+  if (get().link !== "live") {
+    set({ refused: { code: "no_connection", kind: "refusal", message: words.noHold } });
+    return;
+  }
   ways.set(by, way);
   word();
   timer ??= window.setInterval(word, AGAIN_MS);
@@ -46,4 +53,9 @@ function end(): void {
 }
 
 window.addEventListener("blur", releaseAll);
+window.addEventListener("pagehide", releaseAll);
+// Also where the button that was pressed is gone or disabled meanwhile.
+window.addEventListener("pointerup", releaseAll);
+window.addEventListener("pointercancel", releaseAll);
+onLost(releaseAll);
 document.addEventListener("visibilitychange", releaseAll);

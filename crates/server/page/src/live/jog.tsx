@@ -1,6 +1,8 @@
 // A pad to hold: the view goes that way on the screen.
 
-import { hold, release, type Way } from "./hold.ts";
+import { useEffect } from "preact/hooks";
+import { useMayHold } from "../act.ts";
+import { hold, release, releaseAll, type Way } from "./hold.ts";
 
 const PAD: [string, string, Way][] = [
   ["up", "▲", { y: -1 }],
@@ -14,6 +16,8 @@ const PAD: [string, string, Way][] = [
 ];
 
 export function JogPad() {
+  const may = useMayHold();
+  useEffect(() => releaseAll, []);
   return (
     <section>
       <h2>
@@ -25,8 +29,10 @@ export function JogPad() {
             key={name}
             type="button"
             class={name.replace(" ", "-")}
+            disabled={!may}
             aria-label={`${sign.startsWith("z") ? `${sign} ` : ""}${name}, hold`}
             onPointerDown={(event) => {
+              if (event.button !== 0) return;
               event.currentTarget.setPointerCapture(event.pointerId);
               hold(name, way);
             }}
@@ -34,7 +40,7 @@ export function JogPad() {
             onPointerCancel={() => release(name)}
             onLostPointerCapture={() => release(name)}
             onKeyDown={(event) => {
-              if (event.key === " " || event.key === "Enter") hold(name, way);
+              if (!event.repeat && (event.key === " " || event.key === "Enter")) hold(name, way);
             }}
             onKeyUp={() => release(name)}
             onBlur={() => release(name)}

@@ -2,8 +2,8 @@
 
 import { useState } from "preact/hooks";
 import { attempt } from "../api.ts";
-import { by, start } from "../act.ts";
-import { age, fixed } from "../format.ts";
+import { by, start, useDrives, useMayStart } from "../act.ts";
+import { age, fineStep, fixed } from "../format.ts";
 import { use, useNow } from "../store.ts";
 import type { Histogram } from "./histogram.ts";
 import { JogPad } from "./jog.tsx";
@@ -29,11 +29,10 @@ export function Panel({ bins }: { bins: Histogram | null }) {
 function Focus({ may }: { may: boolean }) {
   const all = use((m) => m.sharpness);
   const um = use((m) => m.instrument?.objectives.find((o) => o.id === m.state?.objective)?.um_per_px ?? 1);
-  const busy = use((m) => m.state?.jobs.some((job) => job.state.state !== "ended") ?? false);
+  const busy = !useMayStart();
   const most = Math.max(1e-9, ...all);
   const points = all.map((v, k) => `${(k * 100) / 89},${30 - (28 * v) / most}`).join(" ");
-  // A fine step is about a depth of field of usual objectives at this scale.
-  const fine = Math.max(0.5, Math.round(um * 4 * 2) / 2);
+  const fine = fineStep(um);
   return (
     <section>
       <h2>Focus</h2>
@@ -62,6 +61,7 @@ function Light({ may, bins }: { may: boolean; bins: Histogram | null }) {
   const light = use((m) => m.state?.light ?? null);
   const saturated = use((m) => m.frame?.saturated ?? 0);
   const dark = use((m) => m.frame?.dark ?? 0);
+  const drives = useDrives();
   const set = (ms: number) => void attempt("POST", "exposure", { ms });
   return (
     <section>
@@ -74,10 +74,10 @@ function Light({ may, bins }: { may: boolean; bins: Histogram | null }) {
           <span class="value">{fixed(exposure, exposure < 10 ? 1 : 0)} ms</span>
           {may && (
             <>
-              <button type="button" aria-label="expose shorter" onClick={() => set(exposure / 1.25)}>
+              <button type="button" disabled={!drives} aria-label="expose shorter" onClick={() => set(exposure / 1.25)}>
                 −
               </button>
-              <button type="button" aria-label="expose longer" onClick={() => set(exposure * 1.25)}>
+              <button type="button" disabled={!drives} aria-label="expose longer" onClick={() => set(exposure * 1.25)}>
                 +
               </button>
             </>
@@ -89,10 +89,10 @@ function Light({ may, bins }: { may: boolean; bins: Histogram | null }) {
           <span class="value">lamp {fixed(100 * light, 0)} %</span>
           {may && (
             <>
-              <button type="button" aria-label="less light" onClick={() => void attempt("POST", "light", { level: Math.max(0, light - 0.05) })}>
+              <button type="button" disabled={!drives} aria-label="less light" onClick={() => void attempt("POST", "light", { level: Math.max(0, light - 0.05) })}>
                 −
               </button>
-              <button type="button" aria-label="more light" onClick={() => void attempt("POST", "light", { level: Math.min(1, light + 0.05) })}>
+              <button type="button" disabled={!drives} aria-label="more light" onClick={() => void attempt("POST", "light", { level: Math.min(1, light + 0.05) })}>
                 +
               </button>
             </>
@@ -120,6 +120,7 @@ function Where() {
   const homed = use((m) => m.state?.homed ?? true);
   const moving = use((m) => m.state?.moving ?? false);
   const may = use((m) => m.me?.may_move ?? false);
+  const busy = !useMayStart();
   const old = moving ? 0 : (now - seen) / 1000 - 1;
   return (
     <section class={old >= 2 ? "where old" : "where"}>
@@ -137,7 +138,7 @@ function Where() {
         <>
           <p class="bad">The stage does not know where it is.</p>
           {may && (
-            <button type="button" onClick={() => void start({ job: "home" })}>
+            <button type="button" disabled={busy} onClick={() => void start({ job: "home" })}>
               Let it find its reference: it may move anything anywhere
             </button>
           )}

@@ -1,17 +1,21 @@
 // The specimen: a canvas that is drawn anew with each frame, and what is drawn over it.
 
 import { useEffect, useRef, useState } from "preact/hooks";
-import { mayMove, start } from "../act.ts";
-import { age, length } from "../format.ts";
-import { outline, scaleBar } from "../geometry.ts";
+import { by, mayStart, start, useMayStart } from "../act.ts";
+import { age, fineStep, length } from "../format.ts";
+import { isAway, outline, scaleBar } from "../geometry.ts";
 import { paintWith } from "../socket.ts";
-import { use, useNow } from "../store.ts";
+import { get, use, useNow } from "../store.ts";
 import type { FrameHead } from "../types.ts";
 import { words } from "../words.ts";
 import { histogram, type Histogram } from "./histogram.ts";
 
 /** A press that moves by less is a click, pixels of the screen. */
 const CLICK = 5;
+
+/** Turns of the wheel are gathered for so long, ms, and so many at the most. */
+const WHEEL_MS = 250;
+const NOTCHES = 10;
 
 export function View({ onHistogram }: { onHistogram: (bins: Histogram) => void }) {
   const canvas = useRef<HTMLCanvasElement>(null);
@@ -50,7 +54,7 @@ export function View({ onHistogram }: { onHistogram: (bins: Histogram) => void }
     const from = pressed.current;
     pressed.current = null;
     setDrag([0, 0]);
-    if (!from || !mayMove()) return;
+    if (!from || !mayStart()) return;
     const moved = Math.hypot(event.clientX - from[0], event.clientY - from[1]);
     if (moved < CLICK) {
       const place = share(event.clientX, event.clientY);
@@ -64,16 +68,19 @@ export function View({ onHistogram }: { onHistogram: (bins: Histogram) => void }
     void start({ job: "centre", x: inside(0.5 - (b[0] - a[0])), y: inside(0.5 - (b[1] - a[1])) });
   };
 
+  useWheel(canvas);
+  const may = useMayStart();
+
   return (
     <div class="view">
       <canvas
         ref={canvas}
-        class="paper"
+        class={may ? "paper" : "paper watched"}
         role="img"
         aria-label="The specimen, live"
         style={{ translate: `${drag[0]}px ${drag[1]}px` }}
         onPointerDown={(event) => {
-          if (event.button !== 0 || !mayMove()) return;
+          if (event.button !== 0 || !mayStart()) return;
           pressed.current = [event.clientX, event.clientY];
           event.currentTarget.setPointerCapture(event.pointerId);
         }}
@@ -91,6 +98,41 @@ export function View({ onHistogram }: { onHistogram: (bins: Histogram) => void }
       <Stale />
     </div>
   );
+}
+
+/** The wheel steps the focus: one notch, one fine step. What is turned while the stage moves is done in one step afterwards. */
+function useWheel(canvas: { current: HTMLCanvasElement | null }): void {
+  useEffect(() => {
+    const paper = canvas.current;
+    if (!paper) return;
+    let notches = 0;
+    let timer: number | null = null;
+    const step = () => {
+      timer = null;
+      if (notches === 0) return;
+      if (!mayStart()) {
+        timer = window.setTimeout(step, WHEEL_MS);
+        return;
+      }
+      const { state, instrument } = get();
+      const um = instrument?.objectives.find((o) => o.id === state?.objective)?.um_per_px ?? 1;
+      by("z_um", notches * fineStep(um));
+      notches = 0;
+      // Until the server has told that it moves.
+      timer = window.setTimeout(step, WHEEL_MS);
+    };
+    const turn = (event: WheelEvent) => {
+      event.preventDefault();
+      if (event.deltaY === 0 || (notches === 0 && !mayStart() && timer === null)) return;
+      notches = Math.max(-NOTCHES, Math.min(NOTCHES, notches - Math.sign(event.deltaY)));
+      timer ??= window.setTimeout(step, 0);
+    };
+    paper.addEventListener("wheel", turn, { passive: false });
+    return () => {
+      paper.removeEventListener("wheel", turn);
+      if (timer !== null) clearTimeout(timer);
+    };
+  }, []);
 }
 
 /** What is drawn over the image: its middle, a scale, and where the saved view lies in it. */
@@ -115,7 +157,7 @@ function Over() {
   );
 }
 
-/** The saved view where it was found in this one: solid where this frame is the one, dashed where it moved since. */
+/** The saved view where it was found: solid while the stage stands where it was seen from, dashed once it has moved since. */
 function Found({ frame }: { frame: FrameHead }) {
   const step = use((m) => m.trace.steps.at(-1) ?? null);
   const isUnderWay = use((m) => m.state?.jobs[0]?.kind === "reposition" && m.state.jobs[0].state.state !== "ended");
@@ -126,7 +168,7 @@ function Found({ frame }: { frame: FrameHead }) {
   const doubt = Math.max(2, 3 * step.sigmaPx);
   const middle = corners.reduce(([x, y], c) => [x + c[0] / 4, y + c[1] / 4], [0, 0]);
   return (
-    <g class={step.converged ? "found sure" : "found"}>
+    <g class={`found${step.converged ? " sure" : ""}${step.seenFrom && frame.at && isAway(step.seenFrom, frame.at) ? " since" : ""}`}>
       <polygon points={corners.map((c) => c.join(",")).join(" ")} />
       <circle cx={middle[0]} cy={middle[1]} r={doubt} />
       {step.pairs.slice(0, 150).map((pair, k) => (

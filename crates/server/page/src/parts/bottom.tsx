@@ -1,7 +1,7 @@
 // The edge below, on every page: three verbs, and what one may go back to.
 
 import { attempt } from "../api.ts";
-import { goBack, stop } from "../act.ts";
+import { goBack, stop, useMayStart } from "../act.ts";
 import { address } from "../api.ts";
 import { set, use } from "../store.ts";
 import { words } from "../words.ts";
@@ -9,7 +9,7 @@ import { words } from "../words.ts";
 export function Bottom() {
   const may = use((m) => m.me?.may_move ?? false);
   const chosen = use((m) => m.chosen);
-  const busy = use((m) => m.state?.jobs.some((job) => job.state.state !== "ended") ?? false);
+  const busy = !useMayStart();
   const demo = use((m) => m.state?.demo ?? null);
   return (
     <footer class="bottom">

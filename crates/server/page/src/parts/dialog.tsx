@@ -1,7 +1,10 @@
-// Dialogs that keep the focus inside: saving, questions, help.
+// Dialogs that keep the focus inside: saving, questions, help. What lies below cannot be pressed meanwhile, so each has its own Stop;
+// Tab passes over it, as Escape is nearer.
 
 import type { ComponentChildren } from "preact";
 import { useEffect, useRef } from "preact/hooks";
+import { stop } from "../act.ts";
+import { words } from "../words.ts";
 
 type Props = { title: string; children: ComponentChildren; onClose?: () => void; alert?: boolean };
 
@@ -24,7 +27,12 @@ export function Dialog({ title, children, onClose, alert }: Props) {
         onClose?.();
       }}
     >
-      <h2>{title}</h2>
+      <header>
+        <h2>{title}</h2>
+        <button type="button" class="verb stop" tabIndex={-1} onClick={stop}>
+          {words.stop} <kbd>Esc</kbd>
+        </button>
+      </header>
       {children}
     </dialog>
   );

@@ -1,7 +1,7 @@
 // The edge above: which instrument, what lies on it, who drives, and how old it is.
 
 import { attempt } from "../api.ts";
-import { start } from "../act.ts";
+import { start, useMayStart } from "../act.ts";
 import { age } from "../format.ts";
 import { type Page, set, use, useNow } from "../store.ts";
 import { words } from "../words.ts";
@@ -82,6 +82,11 @@ function Driver() {
           hand over to {asked}
         </button>
       )}
+      {mine && !asked && (
+        <button type="button" class="small" onClick={() => void attempt("POST", "lease/give")}>
+          let go
+        </button>
+      )}
       {may && !mine && owner && owner !== user && (
         <button type="button" class="small" onClick={() => void attempt("POST", "lease/ask")}>
           ask to drive
@@ -94,7 +99,7 @@ function Driver() {
 function ObjectiveChoice() {
   const all = use((m) => m.instrument?.objectives ?? null);
   const now = use((m) => m.state?.objective ?? null);
-  const may = use((m) => m.me?.may_move ?? false);
+  const may = useMayStart();
   if (!all) return null;
   return (
     <label class="objective">
@@ -116,8 +121,12 @@ function LiveDot() {
   const now = useNow();
   const frameAt = use((m) => m.frameAt);
   const link = use((m) => m.link);
+  // Pictures come where they are looked at; elsewhere it is how things stand that is new or old.
+  const isLooking = use((m) => m.page === "live");
+  const stateAt = use((m) => m.stateAt);
+  if (link !== "lost" && !isLooking && now - stateAt < 2000) return <span class="dot good">● connected</span>;
   if (link === "opening" || frameAt === 0) return <span class="dot soft">○ waiting</span>;
-  const seconds = (now - frameAt) / 1000;
+  const seconds = (now - (isLooking ? frameAt : stateAt)) / 1000;
   if (link === "lost") return <span class="dot bad">○ lost</span>;
   return seconds < 2 ? <span class="dot good">● {words.live}</span> : <span class="dot bad">○ {age(seconds)}</span>;
 }

@@ -1,7 +1,9 @@
 // What a job does now and why; and when it has ended, what it came to, the verdict first.
 
 import { useState } from "preact/hooks";
+import { useDrives } from "../act.ts";
 import { address, attempt } from "../api.ts";
+import { turnDeg } from "../geometry.ts";
 import { duration, fixed, length, spaced, withUnits } from "../format.ts";
 import { set, use } from "../store.ts";
 import type { Job, WholeJob } from "../types.ts";
@@ -27,6 +29,7 @@ function what(job: Job): string {
 function UnderWay({ job }: { job: Job }) {
   const trace = use((m) => m.trace);
   const may = use((m) => m.me?.may_move ?? false);
+  const drives = useDrives();
   const isOf = trace.job === job.id;
   const step = isOf ? trace.steps.at(-1) : undefined;
   const paused = job.state.state === "paused";
@@ -49,21 +52,32 @@ function UnderWay({ job }: { job: Job }) {
           </span>
         </p>
       )}
+      {job.kind === "reposition" && job.about && <Wanted name={job.about} deg={step ? -turnDeg(step.targetFromView) : 0} />}
       {isOf && <Steps steps={trace.steps} />}
       {isOf && trace.focus.length > 2 && <Sweep points={trace.focus} />}
       <div class="row">
         {may && !paused && (
-          <button type="button" onClick={() => void attempt("POST", `jobs/${job.id}/pause`)}>
+          <button type="button" disabled={!drives} onClick={() => void attempt("POST", `jobs/${job.id}/pause`)}>
             Pause
           </button>
         )}
         {may && paused && (
-          <button type="button" class="primary" onClick={() => void attempt("POST", `jobs/${job.id}/resume`)}>
+          <button type="button" class="primary" disabled={!drives} onClick={() => void attempt("POST", `jobs/${job.id}/resume`)}>
             Go on
           </button>
         )}
       </div>
     </section>
+  );
+}
+
+/** The saved view, turned as the specimen lies now. */
+function Wanted({ name, deg }: { name: string; deg: number }) {
+  return (
+    <figure class="wanted">
+      <img alt={`the saved view ${name}`} src={address(`targets/${encodeURIComponent(name)}/thumb.jpg`)} style={{ rotate: `${deg}deg` }} />
+      <figcaption>what is looked for{Math.abs(deg) >= 0.5 && `, turned as it lies now: ${fixed(deg, 1)}°`}</figcaption>
+    </figure>
   );
 }
 

@@ -1,6 +1,6 @@
 // What a run has shown so far: made of its events, one after the other.
 
-import type { Affine, EventRecord } from "../types.ts";
+import type { Affine, EventRecord, Place } from "../types.ts";
 
 export type Step = {
   objective: string;
@@ -14,6 +14,8 @@ export type Step = {
   matches: number;
   pairs: [number, number, number, number][];
   converged: boolean;
+  /** Where the stage stood; null where an older log does not tell. */
+  seenFrom: Place | null;
 };
 
 export type Trace = {
@@ -55,6 +57,15 @@ const PHASES: Record<string, string> = {
 /** So many steps are remembered. */
 const STEPS = 200;
 
+type Pose = { x?: number; y?: number; rz?: number };
+
+/** A pose in m and rad, as people read it. */
+function place(pose: Pose | undefined): Place | null {
+  if (!pose) return null;
+  const by = (v: number | undefined, unit: number) => (v === undefined ? undefined : v * unit);
+  return { x_um: by(pose.x, 1e6), y_um: by(pose.y, 1e6), rz_deg: by(pose.rz, 180 / Math.PI) };
+}
+
 type Motion = { t_m: [number, number]; theta_rad: number };
 
 function step(record: EventRecord): Step {
@@ -71,6 +82,7 @@ function step(record: EventRecord): Step {
     matches: record.matches as number,
     pairs: record.pairs as Step["pairs"],
     converged: record.converged as boolean,
+    seenFrom: place(record.stage as Pose | undefined),
   };
 }
 

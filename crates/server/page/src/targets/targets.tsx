@@ -2,7 +2,7 @@
 
 import { useMemo, useState } from "preact/hooks";
 import { address } from "../api.ts";
-import { goBack, remove, rename } from "../act.ts";
+import { goBack, remove, rename, useMayStart } from "../act.ts";
 import { length, moment } from "../format.ts";
 import { scaleBar } from "../geometry.ts";
 import { set, use } from "../store.ts";
@@ -15,12 +15,14 @@ export function Targets() {
   const targets = use((m) => m.targets);
   const [text, setText] = useState("");
   const [quality, setQuality] = useState("");
+  const [slide, setSlide] = useState("");
+  const slides = [...new Set(targets.map((t) => t.slide).filter((s) => s))].sort() as string[];
   const [open, setOpen] = useState<string | null>(null);
   const shown = useMemo(() => {
     const wanted = text.trim().toLowerCase();
     const has = (t: Target) => [t.name, t.slide ?? "", t.note ?? ""].some((s) => s.toLowerCase().includes(wanted));
-    return targets.filter((t) => has(t) && (!quality || t.quality?.word === quality));
-  }, [targets, text, quality]);
+    return targets.filter((t) => has(t) && (!quality || t.quality?.word === quality) && (!slide || t.slide === slide));
+  }, [targets, text, quality, slide]);
   const one = targets.find((t) => t.name === open);
   return (
     <main class="sheet">
@@ -31,6 +33,17 @@ export function Targets() {
           <span class="hidden">search</span>
           <input type="search" placeholder="search" value={text} onInput={(e) => setText(e.currentTarget.value)} />
         </label>
+        {slides.length > 0 && (
+          <label>
+            <span class="hidden">slide</span>
+            <select value={slide} onChange={(e) => setSlide(e.currentTarget.value)}>
+              <option value="">any slide</option>
+              {slides.map((one) => (
+                <option key={one}>{one}</option>
+              ))}
+            </select>
+          </label>
+        )}
         <label>
           <span class="hidden">quality</span>
           <select value={quality} onChange={(e) => setQuality(e.currentTarget.value)}>
@@ -63,6 +76,7 @@ function picture(name: string, kind: "thumb.jpg" | "image.png"): string {
 
 function Card({ target, onOpen }: { target: Target; onOpen: () => void }) {
   const may = use((m) => m.me?.may_move ?? false);
+  const mayStart = useMayStart();
   if (target.damaged) {
     return (
       <article class="target">
@@ -89,12 +103,12 @@ function Card({ target, onOpen }: { target: Target; onOpen: () => void }) {
         {[target.slide, target.objective, moment(target.saved)].filter(Boolean).join(" · ")}
       </p>
       <p>
-        <span class={`tag ${target.quality?.word ?? ""}`} title={target.quality?.text}>
-          {words.quality[target.quality?.word ?? "unknown"]}
-        </span>
+        <span class={`tag ${target.quality?.word ?? ""}`}>{words.quality[target.quality?.word ?? "unknown"]}</span>{" "}
+        <span class="soft why">{target.quality?.text}</span>
       </p>
+      {target.note && <p class="note">{target.note}</p>}
       {may && (
-        <button type="button" class="primary" onClick={() => void goBack(target.name)}>
+        <button type="button" class="primary" disabled={!mayStart} onClick={() => void goBack(target.name)}>
           {words.back}
         </button>
       )}
@@ -111,6 +125,7 @@ function Open({ target, onClose }: { target: Target; onClose: () => void }) {
     <Dialog title={target.name} onClose={onClose}>
       <img class="large" alt={`the saved view ${target.name}`} src={picture(target.name, "image.png")} />
       <p>It {target.quality?.text}.</p>
+      {target.note && <p class="note">{target.note}</p>}
       <p class="soft">
         {[target.slide && `slide ${target.slide}`, target.objective, `${target.features} features`, `saved ${moment(target.saved)}`, target.instrument].filter(Boolean).join(" · ")}
       </p>

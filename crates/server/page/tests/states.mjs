@@ -1,0 +1,394 @@
+// Every state of the page, at a made-up instrument (mock/), at a desk and on a phone: what is shown, and that nothing moves which nobody asks for.
+//   [SCOPESERVO_CHROMIUM=/usr/bin/chromium] [SCREENSHOTS=folder] npm run states [-- PART_OF_A_NAME]
+import { strict as assert } from "node:assert";
+import { mkdirSync, readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { chromium } from "playwright-core";
+import { serve } from "../mock/server.mjs";
+import { World } from "../mock/world.mjs";
+
+const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const shots = process.env.SCREENSHOTS;
+if (shots) mkdirSync(shots, { recursive: true });
+const SIZES = { desk: { width: 1400, height: 900 }, phone: { width: 390, height: 844 } };
+const LONG = { timeout: 15_000 };
+
+const target = (name, more = {}) => ({
+  name, saved: "2026-03-04T09:12:00Z", instrument: "bench 3", slide: "17B", note: "", objective: "40x", um_per_px: 0.25, width: 320, height: 240, features: 812,
+  quality: { word: "good", text: "can be told from its surroundings: found in 24 of 24 with 10x of the views made of it", chance: 0.98 }, at: {},
+  where: { x_um: 40 * name.length, y_um: 90, umPerPx: 0.25 }, ...more,
+});
+const SOME = () => [
+  target("mitosis-3"),
+  target("gland", { slide: "17C", note: "edge of the tumour", quality: { word: "poor", text: "looks like much around it: found in 9 of 24 with 10x of the views made of it", chance: 0.41 } }),
+  target("vessel-12", { slide: null, quality: { word: "fair", text: "can be told with 40x alone", chance: 0.8 } }),
+];
+
+const tests = [];
+/** One of them: at both sizes, unless it says which. */
+const test = (name, world, act, sizes = ["desk", "phone"]) => tests.push(...sizes.map((size) => ({ name, world, act, size })));
+
+async function wellFormed(page, where) {
+  // Without the page's policy, which keeps out whatever it did not bring along.
+  await page.evaluate(axe);
+  const found = await page.evaluate(() => globalThis.axe.run(document, { resultTypes: ["violations"] }));
+  const serious = found.violations.filter((v) => ["serious", "critical"].includes(v.impact));
+  assert.deepEqual(serious.map((v) => [v.id, v.nodes.map((n) => n.html.slice(0, 160))]), [], where);
+}
+
+/** Nothing is cut off at the side, and Stop can be reached: large enough, in the window, under nothing. */
+async function wellLaid(page, where) {
+  const wide = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+  assert.ok(wide <= 0, `${where}: ${wide} pixels too wide`);
+  if ((await page.locator("dialog[open]").count()) > 0 || (await page.locator(".stop").count()) === 0) return;
+  const stop = await page.locator(".stop").evaluate((node) => {
+    const { x, y, width, height } = node.getBoundingClientRect();
+    return { height, width, bottom: y + height, isOnTop: node.contains(document.elementFromPoint(x + width / 2, y + height / 2)), screen: innerHeight };
+  });
+  assert.ok(stop.height >= 48 && stop.width >= 48 && stop.bottom <= stop.screen && stop.isOnTop, `${where}: Stop ${JSON.stringify(stop)}`);
+}
+
+const button = (page, name) => page.getByRole("button", { name });
+const count = (world, type) => world.said.filter((said) => said.type === type).length;
+async function until(is, what) {
+  for (let k = 0; k < 300; k++) {
+    if (await is()) return;
+    await new Promise((done) => setTimeout(done, 20));
+  }
+  assert.fail(what);
+}
+
+test("empty", {}, async ({ page }) => {
+  await button(page, /^Save this view/).waitFor();
+  assert.ok(await button(page, /^Go back/).isDisabled());
+  await button(page, "Targets").click();
+  await page.getByText(/^Nothing is saved yet/).waitFor();
+});
+
+test("live", { targets: SOME() }, async ({ page, world }) => {
+  assert.ok(await page.getByText("simulated", { exact: true }).isVisible());
+  assert.ok(count(world, "ack") > 3, "frames are acknowledged once they are drawn");
+});
+
+test("a first save and return", {}, async ({ page, shoot }) => {
+  let clicks = 0;
+  const click = async (name) => (await button(page, name).click(), clicks++);
+  await click(/^Save this view/);
+  await page.getByRole("dialog").waitFor();
+  assert.equal(await page.getByLabel("Name").inputValue(), "view-1");
+  await shoot("saving");
+  await page.keyboard.press("Enter");
+  clicks++;
+  await page.getByRole("heading", { name: /^Done/ }).waitFor(LONG);
+  await click(/^Take the slide out/);
+  await click(/^Go back/);
+  await page.getByText(/228.0 µm away/).waitFor(LONG);
+  await page.locator(".found polygon").waitFor();
+  await shoot("running");
+  await page.getByRole("heading", { name: /^Arrived/ }).waitFor(LONG);
+  assert.ok(clicks <= 5, `${clicks} clicks`);
+});
+
+for (const [verdict, title] of [["ambiguous", "Ambiguous"], ["not_found", "Not found"], ["refused", "Refused"]]) {
+  test(verdict, { targets: SOME(), verdict }, async ({ page }) => {
+    await button(page, /^Go back/).click();
+    await page.getByRole("heading", { name: new RegExp(`^${title}`) }).waitFor(LONG);
+    assert.equal(await page.getByText("Arrived").count(), 0);
+    await button(page, "Runs").click();
+    await page.locator(".tag", { hasText: title }).waitFor();
+    await button(page, "Live").click();
+  });
+}
+
+test("a refusal stays until it is read", {}, async ({ page, world }) => {
+  world.start({ job: "move", to: { x_um: 9000 } });
+  await page.getByRole("alert").getByText(/x to 9000.0 µm is beyond its limit/).waitFor();
+  await page.waitForTimeout(1500);
+  await page.getByRole("alert").waitFor();
+});
+
+test("a view that is not live says so", { targets: SOME() }, async ({ page, world }) => {
+  world.frames = false;
+  await page.getByText(/^not live, \d+ s old/).waitFor(LONG);
+});
+
+test("a lost camera", { targets: SOME() }, async ({ page, world }) => {
+  world.frames = false;
+  world.cameraTrouble = "the camera does not answer: look at its cable, and start the program again";
+  await page.getByText(/the camera does not answer/).waitFor(LONG);
+});
+
+test("the connection is cut, and comes back", { targets: SOME() }, async ({ page, world, served, shoot }) => {
+  world.down = true;
+  served.cut();
+  await page.getByText(/^Connection lost/).waitFor(LONG);
+  await page.getByText(/^not live/).waitFor(LONG);
+  assert.ok(await button(page, /^Go back/).isDisabled(), "nothing can be asked of who does not answer");
+  assert.ok(await button(page, /^Stop/).isEnabled());
+  await page.waitForTimeout(1500);
+  await shoot("lost");
+  world.down = false;
+  await page.getByText("● live").waitFor(LONG);
+});
+
+test("a connection that died without a word is found dead", { targets: SOME() }, async ({ page, world, served }) => {
+  world.silent = true;
+  await page.getByText(/^not live/).waitFor(LONG);
+  await until(() => served.connections() > 1, "it was not tried again");
+  world.silent = false;
+  await page.getByText("● live").waitFor(LONG);
+}, ["desk"]);
+
+test("where a lasting connection is blocked", { targets: SOME(), blocked: true }, async ({ page, world }) => {
+  await page.getByText(/a lasting connection is blocked/).waitFor(LONG);
+  const seq = () => page.locator(".paper").getAttribute("data-seq").then(Number);
+  await until(async () => (await seq()) > 2, "no pictures came");
+  await button(page, /^Go back/).click();
+  await page.getByRole("heading", { name: /^Arrived/ }).waitFor(LONG);
+  // Whoever drives is not forgotten, though nothing lasts.
+  await until(() => world.asked.some(([, path]) => path === "lease"), "the seat was not kept");
+  // What cannot work says why, and does nothing.
+  await page.keyboard.down("ArrowRight");
+  await page.getByRole("alert").getByText(/hold/i).waitFor();
+  await page.keyboard.up("ArrowRight");
+}, ["desk"]);
+
+test("no permission", { targets: SOME(), me: { user: "eve", role: "viewer", here: true, may_move: false } }, async ({ page, world }) => {
+  for (const name of [/^Save this view/, /^Go back/, /^Take the slide/, /^Focus/, /hold$/]) assert.equal(await button(page, name).count(), 0, String(name));
+  await page.keyboard.press("g");
+  await page.keyboard.down("ArrowRight");
+  await page.locator(".paper").click();
+  await page.waitForTimeout(300);
+  await page.keyboard.up("ArrowRight");
+  await button(page, "Targets").click();
+  assert.equal(await page.locator(".contact").getByRole("button", { name: /^Go back/ }).count(), 0);
+  await button(page, /^open mitosis-3/).click();
+  assert.equal(await page.getByRole("dialog").getByRole("button", { name: /^(Rename|Remove)/ }).count(), 0);
+  await button(page, "Close").click();
+  assert.deepEqual([world.asked, count(world, "jog")], [[], 0], "nothing was asked that would be refused");
+  await button(page, "Live").click();
+  await button(page, /^Stop/).click();
+  await until(() => world.asked.some(([, path]) => path === "stop"), "a viewer may stop");
+});
+
+test("somebody else drives", { targets: SOME(), owner: "bob" }, async ({ page, world }) => {
+  await page.getByText("bob drives").waitFor();
+  assert.ok(await button(page, /^Go back/).isDisabled());
+  assert.ok(await button(page, /^Save this view/).isDisabled());
+  await page.keyboard.press("g");
+  await page.keyboard.down("ArrowRight");
+  await page.waitForTimeout(300);
+  await page.keyboard.up("ArrowRight");
+  assert.deepEqual([world.asked, count(world, "jog")], [[], 0], "nothing was asked that would be refused");
+  await button(page, "ask to drive").click();
+  await until(() => world.asked_by === "anna", "it was not asked");
+});
+
+test("the seat is asked for, and given", { targets: SOME(), owner: "anna", asked_by: "bob" }, async ({ page, world }) => {
+  await button(page, /^hand over to bob/).click();
+  await until(() => world.owner === "bob", "it was not given");
+});
+
+test("Escape while a key is held", { targets: SOME() }, async ({ page, world }) => {
+  await page.keyboard.down("ArrowRight");
+  await until(() => count(world, "jog") > 3, "it did not move");
+  await page.keyboard.press("Escape");
+  await until(() => count(world, "stop") > 0, "it was not stopped");
+  const at = world.said.findLastIndex((said) => said.type === "stop");
+  // The key is held on, and repeats itself as keys do: nothing moves until it is pressed anew.
+  for (let k = 0; k < 6; k++) await page.keyboard.down("ArrowRight"), await page.waitForTimeout(60);
+  assert.deepEqual(world.said.slice(at).filter((said) => said.type === "jog"), []);
+  await page.keyboard.up("ArrowRight");
+  const before = count(world, "jog");
+  await page.keyboard.down("ArrowRight");
+  await until(() => count(world, "jog") > before, "it moves when it is pressed anew");
+  await page.keyboard.up("ArrowRight");
+}, ["desk"]);
+
+test("what is held is let go of when the page cannot be held", { targets: SOME() }, async ({ page, world, served }) => {
+  const press = async () => {
+    const had = count(world, "jog");
+    const pad = await button(page, /^right, hold/).boundingBox();
+    await page.mouse.move(pad.x + 10, pad.y + 10);
+    await page.mouse.down();
+    await until(() => count(world, "jog") > had + 2, "it did not move");
+  };
+  const still = async (why) => {
+    await page.waitForTimeout(250);
+    const had = count(world, "jog");
+    await page.waitForTimeout(400);
+    assert.equal(count(world, "jog"), had, why);
+    await page.mouse.up();
+  };
+  await press();
+  await page.evaluate(() => window.dispatchEvent(new Event("blur")));
+  await still("the window is not looked at");
+  await press();
+  await page.keyboard.press("t");
+  await still("another page is shown");
+  await page.keyboard.press("l");
+  await press();
+  served.cut();
+  await page.waitForTimeout(1500);
+  await still("the connection is another one");
+  await press();
+  await page.keyboard.press("Escape");
+  await still("Stop was pressed");
+}, ["desk"]);
+
+test("a pad is held by a finger", { targets: SOME() }, async ({ page, world }) => {
+  await button(page, "Controls").click();
+  const pad = button(page, /^right, hold/);
+  await pad.scrollIntoViewIfNeeded();
+  const box = await pad.boundingBox();
+  const touch = { x: box.x + 20, y: box.y + 20 };
+  const session = await page.context().newCDPSession(page);
+  await session.send("Input.dispatchTouchEvent", { type: "touchStart", touchPoints: [touch] });
+  await until(() => count(world, "jog") > 3, "it did not move");
+  await session.send("Input.dispatchTouchEvent", { type: "touchEnd", touchPoints: [] });
+  await until(() => count(world, "jog_end") === 1, "it was not let go");
+}, ["phone"]);
+
+test("by keys alone", { targets: SOME() }, async ({ page, world }) => {
+  await page.keyboard.press("s");
+  await page.keyboard.press("Enter");
+  await page.getByRole("heading", { name: /^Done/ }).waitFor(LONG);
+  assert.equal(world.targets[0].name, "view-1");
+  await page.keyboard.press("g");
+  await page.getByRole("heading", { name: /^Arrived/ }).waitFor(LONG);
+  await page.keyboard.press("?");
+  await page.getByRole("dialog", { name: "Keys" }).waitFor();
+  await page.keyboard.press("Enter");
+  await page.keyboard.press("t");
+  await page.getByRole("heading", { name: "Targets" }).waitFor();
+  await page.keyboard.press("Tab");
+  for (let k = 0; k < 30 && !(await page.evaluate(() => document.activeElement?.getAttribute("aria-label")?.startsWith("open "))); k++) await page.keyboard.press("Tab");
+  await page.keyboard.press("Enter");
+  await page.getByRole("dialog", { name: "view-1" }).waitFor();
+}, ["desk"]);
+
+test("click, drag and wheel", { targets: SOME() }, async ({ page, world }) => {
+  const box = await page.locator(".paper").boundingBox();
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  const jobs = () => world.asked.filter(([, path]) => path === "jobs").map(([, , body]) => body);
+  const idle = () => until(() => !world.job, "a job goes on");
+  await page.mouse.click(x, y);
+  await until(() => jobs().length === 1, "a click did nothing");
+  assert.ok(Math.abs(jobs()[0].x - 0.5) < 0.01 && Math.abs(jobs()[0].y - 0.5) < 0.01);
+  await idle();
+  await page.waitForTimeout(300);
+  await page.mouse.move(x, y);
+  await page.mouse.down();
+  await page.mouse.move(x + 60, y + 30, { steps: 5 });
+  await page.mouse.up();
+  await until(() => jobs().length === 2, "a drag did nothing");
+  assert.ok(jobs()[1].x < 0.5 && jobs()[1].y < 0.5, "what was taken hold of comes along");
+  await idle();
+  await page.waitForTimeout(300);
+  await page.mouse.wheel(0, -100);
+  await until(() => jobs().length === 3, "the wheel did nothing");
+  assert.ok(jobs()[2].by.z_um > 0);
+  // Many notches are not many jobs.
+  for (let k = 0; k < 8; k++) await page.mouse.wheel(0, 100);
+  await idle();
+  await page.waitForTimeout(1200);
+  await idle();
+  const [, , , ...turned] = jobs();
+  assert.ok(turned.length >= 1 && turned.length <= 4, `${turned.length} jobs`);
+  assert.ok(turned.every((job) => job.by.z_um < 0));
+  assert.equal(await page.getByRole("alert").count(), 0, "none was refused");
+}, ["desk"]);
+
+test("contact sheet", { targets: SOME() }, async ({ page, world, shoot }) => {
+  await button(page, "Targets").click();
+  await page.getByText("looks like much around it").waitFor();
+  await page.getByPlaceholder("search").fill("tumour");
+  await until(async () => (await page.locator(".contact > li").count()) === 1, "the note was not searched");
+  await page.getByPlaceholder("search").fill("");
+  await page.getByLabel("slide", { exact: true }).last().selectOption("17B");
+  await until(async () => (await page.locator(".contact > li").count()) === 1, "the slide was not looked for");
+  await page.getByLabel("slide", { exact: true }).last().selectOption("");
+  await shoot("targets");
+  await button(page, /^open gland/).click();
+  await page.getByRole("dialog", { name: "gland" }).waitFor();
+  await shoot("target");
+  await page.getByRole("dialog").getByLabel("name").fill("gland-2");
+  await button(page, "Rename").click();
+  await until(() => world.targets.some((t) => t.name === "gland-2"), "it was not renamed");
+  await button(page, /^open gland-2/).click();
+  await button(page, /^Remove/).click();
+  await button(page, /^Yes/).click();
+  await until(() => world.targets.length === 2, "it was not taken out");
+});
+
+test("a question is a dialog that keeps the focus", { targets: SOME() }, async ({ page, world, shoot }) => {
+  world.question = { id: 1, job: 1, text: "Is the 40x objective in place, and the slide on the stage?" };
+  await page.getByRole("alertdialog", { name: "The instrument asks" }).waitFor();
+  await shoot("question");
+  for (let k = 0; k < 6; k++) {
+    await page.keyboard.press("Tab");
+    assert.ok(await page.evaluate(() => document.activeElement === document.body || document.activeElement.closest("dialog") !== null), "the focus went out");
+  }
+  await button(page, "Yes").click();
+  await until(() => world.question === null, "it was not answered");
+});
+
+test("what a killed program left", { targets: SOME(), left: "going back to 'mitosis-3' was under way when the program ended; the stage should stand at x 120.0 um" }, async ({ page, world, shoot }) => {
+  await page.getByRole("heading", { name: "Something was under way" }).waitFor();
+  await shoot("left");
+  await button(page, "Abandon it").click();
+  await until(() => world.left === null, "it was not abandoned");
+});
+
+test("log in", { loggedIn: false }, async ({ page, shoot }) => {
+  await page.getByLabel("Name").fill("anna");
+  await page.getByLabel("Password").fill("wrong horse");
+  await button(page, "Log in").click();
+  await page.getByText(/nobody has this name and password/).waitFor();
+  await shoot("login");
+  await page.getByLabel("Password").fill("right horse");
+  await button(page, "Log in").click();
+  await page.locator(".paper[data-seq]").waitFor(LONG);
+});
+
+async function run({ name, world: more, act, size }, browser) {
+  const served = await serve(new World(structuredClone(more)));
+  const { world } = served;
+  // Axe is no part of the page: where it looks, the policy is not asked. That the page holds it is seen in all of the messages.
+  const context = await browser.newContext({ viewport: SIZES[size], hasTouch: size === "phone", isMobile: size === "phone", bypassCSP: false });
+  const page = await context.newPage();
+  page.setDefaultTimeout(10_000);
+  const wrong = [];
+  page.on("pageerror", (error) => wrong.push(String(error)));
+  page.on("console", (message) => message.type() === "error" && !/40[1-9]|WebSocket|ERR_/.test(message.text()) && wrong.push(message.text()));
+  const file = (what) => `${shots}/${size}-${what.replaceAll(/[^a-z]+/gi, "-")}.png`;
+  const shoot = async (what) => {
+    await wellLaid(page, what);
+    if (shots) await page.waitForTimeout(250), await page.screenshot({ path: file(what) });
+  };
+  try {
+    // Below a path, as behind a proxy.
+    await page.goto(`${served.link}bench/`);
+    if (world.loggedIn && !world.blocked) await page.locator(".paper[data-seq]").waitFor(LONG), await page.waitForTimeout(400);
+    await act({ page, world, served, shoot });
+    await shoot(name);
+    await wellFormed(page, `${size}: ${name}`);
+    assert.deepEqual(wrong, []);
+    console.log(`ok ${size}: ${name}`);
+    return true;
+  } catch (error) {
+    if (shots) await page.screenshot({ path: file(`failed-${name}`) }).catch(() => {});
+    console.log(`FAILED ${size}: ${name}\n  ${String(error.message).split("\n").slice(0, 14).join("\n  ")}`);
+    return false;
+  } finally {
+    await context.close();
+    served.end();
+  }
+}
+
+const browser = await chromium.launch({ executablePath: process.env.SCOPESERVO_CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox"] });
+let failed = 0;
+for (const one of tests) if (`${one.size} ${one.name}`.includes(process.argv[2] ?? "")) failed += Number(!(await run(one, browser)));
+await browser.close();
+console.log(failed === 0 ? "all of it works" : `${failed} of ${tests.length} failed`);
+process.exit(failed === 0 ? 0 : 1);
