@@ -3,6 +3,8 @@ import { ENDS, others, reposition } from "./script.mjs";
 
 const SCALE = { "10x": 1.0, "20x": 0.5, "40x": 0.25 };
 const STEP_MS = 110;
+/** So long one can look at a step of a way back. */
+const LOOK_MS = 700;
 const HOLD_MS = 300;
 
 export class Refusal extends Error {
@@ -114,7 +116,9 @@ export class World {
       const seenFrom = event.event === "iteration" && { stage: { x: x_um * 1e-6, y: y_um * 1e-6, z: 0, rz: (rz_deg * Math.PI) / 180 } };
       this.tell(job.id, { ...event, ...seenFrom });
       if (event.event === "phase_started") this.objective = event.objective;
-      if (event.event === "iteration" && !event.converged) this.at = { ...this.at, x_um: this.at.x_um + 3 };
+      if (event.event !== "iteration") continue;
+      await new Promise((done) => setTimeout(done, LOOK_MS));
+      if (!event.converged) this.at = { ...this.at, x_um: this.at.x_um + 3 };
     }
     if (job.kind === "jog") return;
     await new Promise((done) => setTimeout(done, STEP_MS));

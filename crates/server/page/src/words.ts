@@ -8,6 +8,8 @@ export const words = {
   live: "live",
   lost: "Connection lost. What the instrument does now is not known here; trying again …",
   polling: "asking again and again: a lasting connection is blocked",
+  begins: "begins",
+  keeping: "keeps what came of it",
   noHold: "Holding to move needs the lasting connection, which there is not now. Click in the view, or use the steps.",
   stale: "not live",
   opening: "Opening the instrument …",

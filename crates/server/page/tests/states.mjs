@@ -251,6 +251,7 @@ test("a pad is held by a finger", { targets: SOME() }, async ({ page, world }) =
 
 test("by keys alone", { targets: SOME() }, async ({ page, world }) => {
   await page.keyboard.press("s");
+  await page.getByRole("dialog", { name: "Save this view" }).waitFor();
   await page.keyboard.press("Enter");
   await page.getByRole("heading", { name: /^Done/ }).waitFor(LONG);
   assert.equal(world.targets[0].name, "view-1");
@@ -305,9 +306,9 @@ test("contact sheet", { targets: SOME() }, async ({ page, world, shoot }) => {
   await page.getByPlaceholder("search").fill("tumour");
   await until(async () => (await page.locator(".contact > li").count()) === 1, "the note was not searched");
   await page.getByPlaceholder("search").fill("");
-  await page.getByLabel("slide", { exact: true }).last().selectOption("17B");
+  await page.locator("main").getByRole("combobox", { name: /^slide/ }).selectOption("17B");
   await until(async () => (await page.locator(".contact > li").count()) === 1, "the slide was not looked for");
-  await page.getByLabel("slide", { exact: true }).last().selectOption("");
+  await page.locator("main").getByRole("combobox", { name: /^slide/ }).selectOption("");
   await shoot("targets");
   await button(page, /^open gland/).click();
   await page.getByRole("dialog", { name: "gland" }).waitFor();

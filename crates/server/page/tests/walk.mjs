@@ -1,5 +1,6 @@
 // The page as people use it, in a real browser, on the simulated microscope that the program serves.
-//   SCOPESERVO=target/release/scopeservo [SCOPESERVO_CHROMIUM=/usr/bin/chromium] [SCREENSHOTS=folder] npm run walk
+//   SCOPESERVO=target/release/scopeservo [SCOPESERVO_CHROMIUM=/usr/bin/chromium] [SCREENSHOTS=folder] [BUILT=built] npm run walk
+// BUILT: the page of that folder, instead of the one that the program was built with.
 import { spawn } from "node:child_process";
 import { strict as assert } from "node:assert";
 import { mkdirSync, readFileSync } from "node:fs";
@@ -46,6 +47,7 @@ async function opened(browser, link, { touch, ...viewport }, more = {}) {
   const wrong = [];
   page.on("pageerror", (error) => wrong.push(String(error)));
   page.on("console", (message) => message.type() === "error" && !/401|409/.test(message.text()) && wrong.push(message.text()));
+  if (process.env.BUILT) await page.route(/\/app\.(js|css)$/, (route) => route.fulfill({ path: `${process.env.BUILT}${new URL(route.request().url()).pathname}` }));
   await page.goto(link);
   await page.locator(".paper[data-seq]").waitFor(LONG);
   assert.equal(new URL(page.url()).hash, "", "the key stays in no address");

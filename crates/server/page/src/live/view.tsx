@@ -148,7 +148,7 @@ function Over() {
       {bar && (
         <g class="bar" transform={`translate(${w - bar.px - w / 40} ${h - h / 30})`}>
           <path d={`M0 0h${bar.px}`} />
-          <text x={bar.px / 2} y={-h / 60} font-size={w / 40}>
+          <text x={bar.px / 2} y={-h / 60} font-size={w / 40} stroke-width={w / 220}>
             {length(bar.um).replace(".0 ", " ").replace(".00 ", " ")}
           </text>
         </g>

@@ -1,5 +1,5 @@
-// Dialogs that keep the focus inside: saving, questions, help. What lies below cannot be pressed meanwhile, so each has its own Stop;
-// Tab passes over it, as Escape is nearer.
+// Dialogs that keep the focus inside: saving, questions, help. What lies below cannot be pressed meanwhile, so each has its own Stop,
+// above at the right, but the last to come to by Tab: Enter is not to press it by accident.
 
 import type { ComponentChildren } from "preact";
 import { useEffect, useRef } from "preact/hooks";
@@ -27,13 +27,11 @@ export function Dialog({ title, children, onClose, alert }: Props) {
         onClose?.();
       }}
     >
-      <header>
-        <h2>{title}</h2>
-        <button type="button" class="verb stop" tabIndex={-1} onClick={stop}>
-          {words.stop} <kbd>Esc</kbd>
-        </button>
-      </header>
+      <h2>{title}</h2>
       {children}
+      <button type="button" class="verb stop" onClick={stop}>
+        {words.stop} <kbd>Esc</kbd>
+      </button>
     </dialog>
   );
 }

@@ -39,7 +39,7 @@ function UnderWay({ job }: { job: Job }) {
         {what(job)} <span class="soft">by {job.owner}</span>
       </h2>
       <p>
-        {paused ? (job.state.why === "lease_lost" ? "waits: whoever drove is gone" : "waits") : isOf && trace.now ? trace.now : "begins"}
+        {paused ? (job.state.why === "lease_lost" ? "waits: whoever drove is gone" : "waits") : isOf && trace.outcome ? words.keeping : isOf && trace.now ? trace.now : words.begins}
         {isOf && trace.views > 0 && trace.steps.length === 0 && `: view ${trace.views}`}
         {isOf && trace.began_s !== null && trace.last_s !== null && <span class="soft">, {duration(trace.last_s - trace.began_s)}</span>}
       </p>
