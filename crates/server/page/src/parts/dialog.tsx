@@ -28,7 +28,7 @@ export function Dialog({ title, children, onClose, alert }: Props) {
       }}
     >
       <h2>{title}</h2>
-      {children}
+      <div class="inside">{children}</div>
       <button type="button" class="verb stop" onClick={stop}>
         {words.stop} <kbd>Esc</kbd>
       </button>

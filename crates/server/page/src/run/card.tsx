@@ -76,7 +76,7 @@ function Wanted({ name, deg }: { name: string; deg: number }) {
   return (
     <figure class="wanted">
       <img alt={`the saved view ${name}`} src={address(`targets/${encodeURIComponent(name)}/thumb.jpg`)} style={{ rotate: `${deg}deg` }} />
-      <figcaption>what is looked for{Math.abs(deg) >= 0.5 && `, turned as it lies now: ${fixed(deg, 1)}°`}</figcaption>
+      <figcaption>what is looked for{Math.abs(deg) >= 0.5 && `, turned by ${fixed(Math.abs(deg), 1)}° as it lies now`}</figcaption>
     </figure>
   );
 }

@@ -171,7 +171,7 @@ function Open({ target, onClose }: { target: Target; onClose: () => void }) {
         >
           Choose
         </button>
-        <button type="button" class="primary" onClick={onClose}>
+        <button type="button" class="primary" autofocus onClick={onClose}>
           Close
         </button>
       </div>
