@@ -2,12 +2,13 @@
 
 use crate::app::{App, Demo};
 use crate::audit::Audit;
-use crate::guard::Names;
-use crate::live::{self, Live};
+use crate::grabbing;
+use crate::look;
+use crate::names::Names;
 use crate::people::People;
 use crate::routes::router;
 use crate::seat::Seat;
-use crate::standing::{self, Standing};
+use crate::standing::Standing;
 use axum::Router;
 use axum::extract::ConnectInfo;
 use hyper::server::conn::http1;
@@ -232,7 +233,7 @@ fn app(
         seat,
         people,
         audit: Audit::new(log),
-        live: Live::default(),
+        live: Arc::default(),
         standing: watch::channel(Arc::new(Standing::unknown())).0,
         events,
         slide: Mutex::new(None),
@@ -253,8 +254,8 @@ fn spawn(app: &Arc<App>) -> io::Result<Vec<JoinHandle<()>>> {
     let show = std::thread::Builder::new().name("live".into());
     let (a, b) = (app.clone(), app.clone());
     Ok(vec![
-        look.spawn(move || standing::watch(&a))?,
-        show.spawn(move || live::run(&b))?,
+        look.spawn(move || look::keep_looking(&a))?,
+        show.spawn(move || grabbing::run(&b))?,
     ])
 }
 

@@ -1,7 +1,7 @@
 //! A frame as browsers take it: a head in JSON and a JPEG.
 
-use crate::app::App;
-use jpeg_encoder::{ColorType, Encoder};
+use image::ExtendedColorType;
+use image::codecs::jpeg::JpegEncoder;
 use scopeservo_protocol::Place;
 use scopeservo_scope::Frame;
 use scopeservo_servo::sharpness;
@@ -34,6 +34,16 @@ pub(crate) struct Head {
     pub(crate) dark: f64,
 }
 
+/// What is known of a frame beside what it shows.
+pub(crate) struct About {
+    pub(crate) seq: u64,
+    pub(crate) role: String,
+    /// Of the full frame.
+    pub(crate) um_per_px: Option<f64>,
+    pub(crate) objective: Option<String>,
+    pub(crate) at: Option<Place>,
+}
+
 /// A frame, encoded.
 pub(crate) struct Encoded {
     pub(crate) head: Head,
@@ -47,13 +57,7 @@ impl Encoded {
     ///
     /// # Errors
     /// A sentence, for an image that no JPEG holds.
-    pub(crate) fn of(
-        app: &App,
-        frame: &Frame,
-        role: String,
-        seq: u64,
-        since: Instant,
-    ) -> Result<Self, String> {
+    pub(crate) fn of(frame: &Frame, about: About, since: Instant) -> Result<Self, String> {
         let mut rgb = frame.rgb8();
         let count = rgb.len().max(1) as f64;
         let share = |is: fn(u8) -> bool| rgb.iter().filter(|v| is(**v)).count() as f64 / count;
@@ -63,30 +67,19 @@ impl Encoded {
             rgb = halved(&rgb, width, height);
             (width, height) = (width / 2, height / 2);
         }
-        let [w, h] = [width, height].map(u16::try_from);
-        let (Ok(w), Ok(h)) = (w, h) else {
-            return Err(format!(
-                "an image of {width} x {height} pixels cannot be sent"
-            ));
-        };
-        let mut jpeg = Vec::new();
-        Encoder::new(&mut jpeg, QUALITY)
-            .encode(&rgb, w, h, ColorType::Rgb)
-            .map_err(|e| format!("the image cannot be encoded: {e}"))?;
-        let standing = app.standing.borrow().clone();
-        let objective = standing.objective.clone();
+        let jpeg = jpeg(&rgb, [width, height])?;
         let head = Head {
-            seq,
+            seq: about.seq,
             time_s: frame.exposure_start.seconds(),
             age_ms: since.elapsed().as_secs_f64() * 1e3,
             width,
             height,
             full_width: frame.width,
             full_height: frame.height,
-            um_per_px: objective.as_ref().and_then(|id| app.um_per_px(id)),
-            objective: objective.map(|id| id.0),
-            at: standing.at.as_ref().map(Place::from),
-            role,
+            um_per_px: about.um_per_px,
+            objective: about.objective,
+            at: about.at,
+            role: about.role,
             sharpness: sharpness(frame),
             saturated,
             dark,
@@ -107,6 +100,18 @@ impl Encoded {
         message.extend(&self.jpeg);
         message
     }
+}
+
+/// Colours of 8 bits as a JPEG.
+///
+/// # Errors
+/// A sentence, for an image that no JPEG holds.
+pub(crate) fn jpeg(rgb: &[u8], [width, height]: [usize; 2]) -> Result<Vec<u8>, String> {
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+        .encode(rgb, width as u32, height as u32, ExtendedColorType::Rgb8)
+        .map_err(|e| format!("an image of {width} x {height} pixels cannot be sent: {e}"))?;
+    Ok(jpeg)
 }
 
 /// Each pixel the mean of four.

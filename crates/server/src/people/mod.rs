@@ -1,6 +1,7 @@
 //! Who may do what: users with passwords, programs with tokens, browsers with sessions.
 
 mod guesses;
+mod role;
 mod sessions;
 mod store;
 
@@ -12,24 +13,12 @@ use argon2::password_hash::phc::PasswordHash;
 use argon2::password_hash::{PasswordHasher as _, PasswordVerifier as _};
 use axum::http::StatusCode;
 use guesses::Guesses;
-use serde::{Deserialize, Serialize};
+pub(crate) use role::Role;
 use sessions::Sessions;
 use std::path::PathBuf;
 use std::sync::Mutex;
 use std::time::Instant;
 use store::{Account, Accounts, Token};
-
-/// What somebody may do; each may do what those before it may.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum Role {
-    /// Look, and stop.
-    Viewer,
-    /// Move, save, and go.
-    Operator,
-    /// Say who may.
-    Admin,
-}
 
 /// Who asks.
 #[derive(Debug, Clone, PartialEq)]
