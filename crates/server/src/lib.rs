@@ -32,7 +32,7 @@ mod socket;
 mod standing;
 mod starting;
 
-pub use routes::routes;
+pub use routes::{OPENAPI, routes};
 pub use serve::{Before, ServeError, Server, Settings};
 
 /// What a panic left behind a lock is whole: every value is replaced in one go.

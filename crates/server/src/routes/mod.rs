@@ -15,14 +15,15 @@ use axum::Router;
 use axum::extract::{Path, Request};
 use axum::http::StatusCode;
 use axum::middleware::{from_fn, from_fn_with_state};
-use axum::response::IntoResponse;
+use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use route::{Route, route};
+use route::{Route, file, route};
 use std::sync::Arc;
 
 /// All of them.
 pub(crate) fn table() -> Vec<Route> {
     let own = vec![
+        route("GET", "/api/v1/openapi.json", Need::Nobody, get(openapi)),
         route("GET", "/", Need::Nobody, get(async || page::asset(""))),
         route(
             "GET",
@@ -66,4 +67,11 @@ pub(crate) fn router(app: &Arc<App>) -> Router {
         })
         .layer(from_fn_with_state(app.clone(), guard::guard))
         .with_state(app.clone())
+}
+
+/// All routes for programs: OpenAPI 3.1. A test holds it to the table.
+pub const OPENAPI: &str = include_str!("../openapi.json");
+
+async fn openapi() -> Response {
+    file("application/json", OPENAPI.into())
 }
