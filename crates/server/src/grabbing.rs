@@ -30,8 +30,9 @@ pub(crate) fn run(app: &Arc<App>) {
         let Some((frame, role)) = next(app, &mut listener) else {
             continue;
         };
+        let since = Instant::now();
         sequence += 1;
-        match Encoded::of(&frame, about(app, role, sequence), began) {
+        match Encoded::of(&frame, about(app, role, sequence), since) {
             Ok(encoded) => app.live.show(encoded),
             Err(why) => app.live.is_troubled(why),
         }

@@ -115,7 +115,9 @@ fn is_ours(app: &App, request: &Request<Body>) -> Result<(), ApiError> {
         .split(';')
         .next()
         .is_some_and(|k| k.trim().eq_ignore_ascii_case("application/json"));
-    if changes && !is_json {
+    // Other methods no page of another site can send unasked.
+    let is_sent = matches!(*request.method(), Method::POST | Method::PATCH);
+    if is_sent && !is_json {
         let message = "what is sent must be JSON, and say so: content-type: application/json";
         let status = StatusCode::UNSUPPORTED_MEDIA_TYPE;
         return Err(ApiError::new(status, "not_json", message));

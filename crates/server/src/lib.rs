@@ -11,6 +11,7 @@ mod app;
 mod asked;
 mod audit;
 mod desk;
+mod door;
 mod ending;
 mod error;
 mod grabbing;
@@ -32,6 +33,7 @@ mod socket;
 mod standing;
 mod starting;
 
+pub use door::DOOR;
 pub use routes::{OPENAPI, routes};
 pub use serve::{Before, ServeError, Server, Settings};
 

@@ -2,6 +2,7 @@
 
 use crate::app::{App, Demo};
 use crate::audit::Audit;
+use crate::door::Door;
 use crate::grabbing;
 use crate::look;
 use crate::names::Names;
@@ -109,6 +110,7 @@ pub struct Server {
     address: SocketAddr,
     runtime: Option<Runtime>,
     threads: Vec<JoinHandle<()>>,
+    _door: Option<Door>,
 }
 
 impl Server {
@@ -136,6 +138,14 @@ impl Server {
         let address = listener.local_addr()?;
         let app = Arc::new(app(bench, before, settings, address)?);
         app.learn_calibrated();
+        let door = match settings.demo {
+            true => None,
+            false => Some(Door::open(
+                &settings.folder,
+                address,
+                app.people.terminal(),
+            )?),
+        };
         let threads = spawn(&app)?;
         runtime.spawn(accept(listener, router(&app)));
         Ok(Self {
@@ -143,6 +153,7 @@ impl Server {
             address,
             runtime: Some(runtime),
             threads,
+            _door: door,
         })
     }
 

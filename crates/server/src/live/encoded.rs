@@ -6,7 +6,7 @@ use scopeservo_protocol::Place;
 use scopeservo_scope::Frame;
 use scopeservo_servo::sharpness;
 use serde::Serialize;
-use std::time::Instant;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 /// No side that is sent is longer, pixels: a larger frame is halved until it fits.
 const LONGEST: usize = 1600;
@@ -20,7 +20,10 @@ const BLACK: u8 = 1;
 pub(crate) struct Head {
     pub(crate) seq: u64,
     pub(crate) time_s: f64,
+    /// Since it was grabbed, when it is sent.
     pub(crate) age_ms: f64,
+    /// When it is sent, ms since 1970 by the clock of the server's computer.
+    pub(crate) sent_ms: f64,
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) full_width: usize,
@@ -53,7 +56,7 @@ pub(crate) struct Encoded {
 }
 
 impl Encoded {
-    /// Encodes a frame that was asked for at `since`.
+    /// Encodes a frame that was there at `since`.
     ///
     /// # Errors
     /// A sentence, for an image that no JPEG holds.
@@ -71,7 +74,8 @@ impl Encoded {
         let head = Head {
             seq: about.seq,
             time_s: frame.exposure_start.seconds(),
-            age_ms: since.elapsed().as_secs_f64() * 1e3,
+            age_ms: 0.0,
+            sent_ms: 0.0,
             width,
             height,
             full_width: frame.width,
@@ -91,6 +95,9 @@ impl Encoded {
     pub(crate) fn message(&self) -> Vec<u8> {
         let head = Head {
             age_ms: self.since.elapsed().as_secs_f64() * 1e3,
+            sent_ms: SystemTime::now()
+                .duration_since(UNIX_EPOCH)
+                .map_or(0.0, |t| t.as_secs_f64() * 1e3),
             ..self.head.clone()
         };
         let head = serde_json::to_vec(&head).unwrap_or_default();

@@ -1,12 +1,12 @@
 //! Jobs, and what they ask.
 
-use super::route::{Answer, Route, Shared, aside, body, route};
+use super::route::{Answer, Named, Route, Shared, aside, body, route};
 use crate::asked::{JobRequest, Wish};
 use crate::error::ApiError;
 use crate::guard::Need;
 use crate::people::Caller;
 use crate::starting;
-use axum::extract::{Path, Request, State};
+use axum::extract::{Request, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
@@ -48,14 +48,14 @@ async fn start(
     Ok((StatusCode::ACCEPTED, Json(json!({"id": id}))).into_response())
 }
 
-async fn job(State(app): Shared, Path(id): Path<u64>) -> Answer {
+async fn job(State(app): Shared, Named(id): Named<u64>) -> Answer {
     Ok(Json(app.desk.one(id)?.whole()))
 }
 
 async fn stop_job(
     State(app): Shared,
     Extension(caller): Extension<Caller>,
-    Path(id): Path<u64>,
+    Named(id): Named<u64>,
 ) -> Answer {
     let entry = app.desk.one(id)?;
     let told = aside(&app, move |app| {
@@ -68,7 +68,7 @@ async fn stop_job(
     Ok(Json(told.await?))
 }
 
-async fn pause_job(State(app): Shared, Path(id): Path<u64>) -> Answer {
+async fn pause_job(State(app): Shared, Named(id): Named<u64>) -> Answer {
     let entry = app.desk.one(id)?;
     entry.handle.pause();
     Ok(Json(entry.whole()))
@@ -77,7 +77,7 @@ async fn pause_job(State(app): Shared, Path(id): Path<u64>) -> Answer {
 async fn resume_job(
     State(app): Shared,
     Extension(caller): Extension<Caller>,
-    Path(id): Path<u64>,
+    Named(id): Named<u64>,
 ) -> Answer {
     let entry = app.desk.one(id)?;
     let lease = app.seat.take(&caller)?;
@@ -106,7 +106,7 @@ struct YesNo {
 async fn answer(
     State(app): Shared,
     Extension(caller): Extension<Caller>,
-    Path(id): Path<u64>,
+    Named(id): Named<u64>,
     request: Request,
 ) -> Answer {
     let YesNo { yes } = body(request).await?;

@@ -1,11 +1,11 @@
 //! What is kept.
 
-use super::route::{Answer, Route, Shared, aside, body, file, route};
+use super::route::{Answer, Named, Route, Shared, Wanted, aside, body, file, route};
 use crate::error::ApiError;
 use crate::guard::Need;
 use crate::kept;
 use axum::Json;
-use axum::extract::{Path, Query, Request, State};
+use axum::extract::{Request, State};
 use axum::http::{HeaderName, HeaderValue};
 use axum::response::Response;
 use axum::routing::{delete, get, patch};
@@ -58,38 +58,38 @@ pub(super) fn routes() -> Vec<Route> {
 }
 
 #[derive(Deserialize)]
-struct Wanted {
+struct Text {
     #[serde(default)]
     text: String,
 }
 
-async fn targets(State(app): Shared, Query(wanted): Query<Wanted>) -> Answer {
+async fn targets(State(app): Shared, Wanted(wanted): Wanted<Text>) -> Answer {
     Ok(Json(
         aside(&app, move |app| kept::targets(app, &wanted.text)).await?,
     ))
 }
 
-async fn target(State(app): Shared, Path(name): Path<String>) -> Answer {
+async fn target(State(app): Shared, Named(name): Named<String>) -> Answer {
     Ok(Json(
         aside(&app, move |app| kept::target(app, &name)).await?,
     ))
 }
 
-async fn edit_target(State(app): Shared, Path(name): Path<String>, request: Request) -> Answer {
+async fn edit_target(State(app): Shared, Named(name): Named<String>, request: Request) -> Answer {
     let edit: kept::Edit = body(request).await?;
     Ok(Json(
         aside(&app, move |app| kept::edit(app, &name, &edit)).await?,
     ))
 }
 
-async fn remove_target(State(app): Shared, Path(name): Path<String>) -> Answer {
+async fn remove_target(State(app): Shared, Named(name): Named<String>) -> Answer {
     aside(&app, move |app| kept::remove(app, &name)).await?;
     Ok(Json(json!({})))
 }
 
 async fn target_picture(
     State(app): Shared,
-    Path(name): Path<String>,
+    Named(name): Named<String>,
 ) -> Result<Response, ApiError> {
     let bytes = aside(&app, move |app| kept::picture(app, &name)).await?;
     Ok(file("image/png", bytes))
@@ -97,7 +97,7 @@ async fn target_picture(
 
 async fn target_thumbnail(
     State(app): Shared,
-    Path(name): Path<String>,
+    Named(name): Named<String>,
 ) -> Result<Response, ApiError> {
     let bytes = aside(&app, move |app| kept::thumbnail(app, &name)).await?;
     Ok(file("image/jpeg", bytes))
@@ -113,7 +113,7 @@ struct Page {
     before: Option<String>,
 }
 
-async fn runs(State(app): Shared, Query(page): Query<Page>) -> Answer {
+async fn runs(State(app): Shared, Wanted(page): Wanted<Page>) -> Answer {
     let limit = page.limit.unwrap_or(50).min(RUNS);
     let all = aside(&app, move |app| {
         kept::runs(app, limit, page.before.as_deref())
@@ -121,17 +121,17 @@ async fn runs(State(app): Shared, Query(page): Query<Page>) -> Answer {
     Ok(Json(all.await?))
 }
 
-async fn run(State(app): Shared, Path(id): Path<String>) -> Answer {
+async fn run(State(app): Shared, Named(id): Named<String>) -> Answer {
     Ok(Json(aside(&app, move |app| kept::run(app, &id)).await?))
 }
 
-async fn run_events(State(app): Shared, Path(id): Path<String>) -> Result<Response, ApiError> {
+async fn run_events(State(app): Shared, Named(id): Named<String>) -> Result<Response, ApiError> {
     let bytes = aside(&app, move |app| kept::events(app, &id)).await?;
     Ok(file("application/json", bytes))
 }
 
 /// A report is a page of its own that may run nothing.
-async fn run_report(State(app): Shared, Path(id): Path<String>) -> Result<Response, ApiError> {
+async fn run_report(State(app): Shared, Named(id): Named<String>) -> Result<Response, ApiError> {
     let bytes = aside(&app, move |app| kept::report(app, &id)).await?;
     let policy = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'";
     let mut response = file("text/html; charset=utf-8", bytes);

@@ -1,10 +1,10 @@
 //! How one comes in, and who may.
 
-use super::route::{Answer, Route, Shared, aside, body, route};
+use super::route::{Answer, Named, Route, Shared, aside, body, route};
 use crate::error::ApiError;
 use crate::guard::{Need, set_cookie};
 use crate::people::{Caller, Entered, Role};
-use axum::extract::{Path, Request, State};
+use axum::extract::{Request, State};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{delete, get, post};
 use axum::{Extension, Json};
@@ -127,7 +127,7 @@ async fn add_user(State(app): Shared, request: Request) -> Answer {
     Ok(listed(app.people.users()))
 }
 
-async fn remove_user(State(app): Shared, Path(name): Path<String>) -> Answer {
+async fn remove_user(State(app): Shared, Named(name): Named<String>) -> Answer {
     aside(&app, move |app| app.people.remove_user(&name)).await?;
     Ok(listed(app.people.users()))
 }
@@ -155,7 +155,7 @@ async fn add_token(
     Ok(Json(json!({"token": token.await?})))
 }
 
-async fn remove_token(State(app): Shared, Path(name): Path<String>) -> Answer {
+async fn remove_token(State(app): Shared, Named(name): Named<String>) -> Answer {
     aside(&app, move |app| app.people.remove_token(&name)).await?;
     Ok(listed(app.people.tokens()))
 }

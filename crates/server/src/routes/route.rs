@@ -4,7 +4,8 @@ use crate::app::App;
 use crate::error::ApiError;
 use crate::guard::Need;
 use axum::Json;
-use axum::extract::{Request, State};
+use axum::extract::{FromRequestParts, Path, Query, Request, State};
+use axum::http::request::Parts;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::MethodRouter;
@@ -48,6 +49,34 @@ pub(super) async fn body<T: DeserializeOwned>(request: Request) -> Result<T, Api
         ApiError::new(StatusCode::PAYLOAD_TOO_LARGE, "too_large", message)
     })?;
     serde_json::from_slice(&bytes).map_err(|e| ApiError::input(format!("that cannot be read: {e}")))
+}
+
+/// The names in a path.
+pub(super) struct Named<T>(pub(super) T);
+
+impl<S: Send + Sync, T: DeserializeOwned + Send> FromRequestParts<S> for Named<T> {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+        let named = Path::from_request_parts(parts, state).await;
+        named
+            .map(|Path(named)| Self(named))
+            .map_err(|e| ApiError::input(e.body_text()))
+    }
+}
+
+/// What follows the question mark.
+pub(super) struct Wanted<T>(pub(super) T);
+
+impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for Wanted<T> {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+        let wanted = Query::from_request_parts(parts, state).await;
+        wanted
+            .map(|Query(wanted)| Self(wanted))
+            .map_err(|e| ApiError::input(e.body_text()))
+    }
 }
 
 /// What may wait for a device or a disk is done elsewhere.

@@ -34,7 +34,7 @@ async fn frame(State(app): Shared) -> Result<Response, ApiError> {
     let newest = watching.frames.borrow().clone();
     let none = || {
         let message = "the camera shows nothing now";
-        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, "no_frame", message)
+        ApiError::conflict("no_frame", message)
     };
     let newest = newest.filter(|newest| newest.since.elapsed() < 2 * FRAME);
     Ok(file("image/jpeg", newest.ok_or_else(none)?.jpeg.clone()))
