@@ -38,6 +38,9 @@ pub(crate) enum CliError {
         /// What else to do.
         instead: &'static str,
     },
+    /// What the program says that serves the instrument.
+    #[error("{0}")]
+    AtServer(String),
     #[error(transparent)]
     Library(#[from] LibraryError),
     /// A job was killed, and waits.
@@ -210,6 +213,7 @@ impl CliError {
             Self::Slide(_) | Self::Specimen(_) | Self::TooSmall { .. } => Code::BadImage,
             Self::CannotWrite { .. } => Code::CannotWrite,
             Self::Library(error) => library_code(error),
+            Self::AtServer(_) => Code::Refused,
             Self::Unfinished(_) | Self::CannotResume(_) => Code::Unfinished,
             Self::Read { .. } => Code::CannotRead,
             Self::Setup(error) => setup_code(error),

@@ -34,6 +34,7 @@ mod register;
 mod scene;
 #[cfg(feature = "serve")]
 mod serve;
+mod served;
 mod stage;
 mod targets;
 mod threads;
@@ -76,6 +77,9 @@ fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
     let signalled = answer.clone();
     ctrlc::set_handler(move || signalled.interrupt())
         .map_err(|e| CliError::Internal(format!("Ctrl-C could not be provided for: {e}")))?;
+    if let Some(done) = served::run(&command, answer) {
+        return done;
+    }
     match command {
         Command::Demo(args) => demo::run(&args, answer),
         Command::Register(args) => register::run(&args, answer),

@@ -15,7 +15,7 @@ use std::time::Duration;
 const SHOW: Duration = Duration::from_millis(200);
 
 impl PlaceArgs {
-    fn pose(&self) -> StagePose {
+    pub(crate) fn pose(&self) -> StagePose {
         StagePose::from(Place {
             x_um: self.x_um,
             y_um: self.y_um,

@@ -3,8 +3,8 @@
 use crate::audit::Audit;
 use crate::desk::Desk;
 use crate::error::ApiError;
-use crate::guard::Names;
 use crate::live::Live;
+use crate::names::Names;
 use crate::people::People;
 use crate::seat::Seat;
 use crate::standing::Standing;
@@ -25,7 +25,7 @@ pub(crate) struct App {
     pub(crate) seat: Seat,
     pub(crate) people: People,
     pub(crate) audit: Audit,
-    pub(crate) live: Live,
+    pub(crate) live: Arc<Live>,
     /// How things stand, renewed several times a second.
     pub(crate) standing: watch::Sender<Arc<Standing>>,
     /// The number of the event that comes next.

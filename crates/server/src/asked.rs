@@ -39,6 +39,8 @@ pub(crate) enum JobRequest {
     Home {},
     Focus {
         #[serde(default)]
+        objective: Option<String>,
+        #[serde(default)]
         range_um: Option<f64>,
     },
     Calibrate {
@@ -52,6 +54,8 @@ pub(crate) enum JobRequest {
     },
     SaveTarget {
         name: String,
+        #[serde(default)]
+        objective: Option<String>,
         #[serde(default)]
         focus: bool,
         #[serde(default)]
@@ -162,8 +166,12 @@ impl Wish {
                 Ok(Self::by_hand(Hand::Objective(id)))
             }
             JobRequest::Home {} => Ok(Self::by_hand(Hand::Home)),
-            JobRequest::Focus { range_um } => {
+            JobRequest::Focus {
+                objective,
+                range_um,
+            } => {
                 let input = FocusInput {
+                    objective: named(bench, objective)?,
                     focus: focusing(range_um)?,
                     ..FocusInput::default()
                 };
@@ -187,7 +195,12 @@ impl Wish {
                 let input = DoctorInput { allow_motion };
                 Self::job(Request::Doctor(input), None, json!(input))
             }
-            JobRequest::SaveTarget { name, focus, note } => save(bench, name, focus, &note),
+            JobRequest::SaveTarget {
+                name,
+                objective,
+                focus,
+                note,
+            } => save(bench, name, named(bench, objective)?, (focus, &note)),
             JobRequest::Reposition { target } => reposition(bench, target),
             JobRequest::Resume {} => resume(bench),
         }
@@ -282,9 +295,24 @@ fn calibrate(bench: &Workbench, objectives: Vec<String>) -> Result<Wish, ApiErro
     Wish::job(Request::Calibrate(input), None, inputs)
 }
 
-fn save(bench: &Workbench, name: String, focus: bool, note: &str) -> Result<Wish, ApiError> {
+/// An objective that there is.
+fn named(bench: &Workbench, objective: Option<String>) -> Result<Option<ObjectiveId>, ApiError> {
+    let id = objective.map(ObjectiveId);
+    if let Some(id) = &id {
+        bench.scope.objective(id)?;
+    }
+    Ok(id)
+}
+
+fn save(
+    bench: &Workbench,
+    name: String,
+    objective: Option<ObjectiveId>,
+    (focus, note): (bool, &str),
+) -> Result<Wish, ApiError> {
     bench.library.check_new_target(&name)?;
     let input = SaveTargetInput {
+        objective,
         focus: focus.then(FocusOptions::default),
         still: bench.config.target.still,
         known: bench.known_calibrations(|_| {}),

@@ -1,13 +1,9 @@
 //! The desk: one job at a time, and the last hundred that were done.
 
-use crate::app::App;
-use crate::asked::{Case, Wish};
-use crate::ending;
 use crate::error::ApiError;
-use crate::jog::Hold;
+use crate::jog::{Hold, Way};
 use crate::lock;
-use crate::people::Caller;
-use scopeservo_station::{Ended, JobHandle, JobId, JobState, UseCase as _};
+use scopeservo_station::{Ended, JobHandle, JobId, JobState};
 use serde_json::{Value, json};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -21,7 +17,7 @@ pub(crate) struct Entry {
     pub(crate) owner: String,
     pub(crate) about: Option<String>,
     pub(crate) handle: JobHandle,
-    end: Mutex<Option<End>>,
+    pub(crate) end: Mutex<Option<End>>,
 }
 
 /// What became of it: told when all that is to be kept is kept.
@@ -102,111 +98,42 @@ impl Desk {
         lock(&self.0).is_free()
     }
 
-    /// Starts a job for somebody, who takes the seat if it is free.
+    /// Goes on that way, where this one holds it already.
     ///
     /// # Errors
-    /// `busy` while another job is under way, `held` when somebody else drives, `unfinished` when a killed job waits.
-    pub(crate) fn start(
+    /// `busy`, while something else is under way.
+    pub(crate) fn goes_on(&self, key: &str, way: Way) -> Result<bool, ApiError> {
+        let inner = lock(&self.0);
+        let under_way = inner.under_way().filter(|entry| entry.kind == "jog");
+        if let (Some(_), Some((holder, hold))) = (under_way, &inner.hold)
+            && holder == key
+        {
+            hold.hold(way);
+            return Ok(true);
+        }
+        inner.is_free()?;
+        Ok(false)
+    }
+
+    /// Puts a job on the desk, which `begin` starts while nobody else can.
+    ///
+    /// # Errors
+    /// `busy`, and those of `begin`.
+    pub(crate) fn put<T>(
         &self,
-        app: &Arc<App>,
-        caller: &Caller,
-        wish: Wish,
-    ) -> Result<JobId, ApiError> {
+        begin: impl FnOnce() -> Result<(Arc<Entry>, Option<(String, Hold)>, T), ApiError>,
+    ) -> Result<(Arc<Entry>, T), ApiError> {
         let mut inner = lock(&self.0);
         inner.is_free()?;
-        let Wish {
-            case,
-            about,
-            mut asked,
-        } = wish;
-        let is_resumed = asked.as_ref().is_some_and(|asked| asked.resumed);
-        if asked.is_some()
-            && !is_resumed
-            && let Some(standing) = app.bench.waits()?
-        {
-            let message = format!("{standing}. Resume it or abandon it first");
-            return Err(ApiError::conflict("unfinished", message));
+        let (entry, hold, with) = begin()?;
+        if hold.is_some() {
+            inner.hold = hold;
         }
-        let lease = app.seat.take(caller)?;
-        if let Some(asked) = asked.as_mut().filter(|asked| !asked.resumed) {
-            asked.inputs["user"] = json!(caller.user);
-            asked.inputs["slide"] = json!(*lock(&app.slide));
-        }
-        let kind = case.kind();
-        let keeps_views = kind == "calibrate";
-        app.console.forget();
-        let inputs = asked.as_ref().map(|asked| asked.inputs.clone());
-        let (record, lost) = match asked {
-            Some(asked) => {
-                let (record, lost) = app.bench.record(kind, asked);
-                (Some(record), lost)
-            }
-            None => (None, None),
-        };
-        if let Case::Jog(jog) = &case {
-            inner.hold = Some((caller.key.clone(), jog.holder()));
-        }
-        let job = app.console.session().start(&lease, case)?;
-        let entry = Arc::new(Entry {
-            kind,
-            owner: caller.user.clone(),
-            about,
-            handle: job.handle().clone(),
-            end: Mutex::default(),
-        });
-        let id = entry.id();
         if inner.entries.len() >= REMEMBERED {
             inner.entries.pop_front();
         }
         inner.entries.push_back(entry.clone());
-        drop(inner);
-        // What the log cannot take keeps nobody from the instrument; it is told with the answer.
-        let what = json!({"job": kind, "id": id, "about": entry.about});
-        let unnoted = app.audit.note(caller, "started", what).err();
-        let warnings: Vec<String> = lost
-            .map(|e| e.to_string())
-            .into_iter()
-            .chain(unnoted.map(|e| format!("the log of who moved what cannot be written: {e}")))
-            .collect();
-        let (app, task) = (
-            app.clone(),
-            ending::Task {
-                entry,
-                record,
-                inputs,
-                keeps_views,
-                warnings,
-            },
-        );
-        std::thread::spawn(move || ending::follow(&app, task, job));
-        Ok(id)
-    }
-
-    /// Goes on that way while it is said again and again: a job that begins with the first word.
-    ///
-    /// # Errors
-    /// As [`Desk::start`].
-    pub(crate) fn jog(
-        &self,
-        app: &Arc<App>,
-        caller: &Caller,
-        way: crate::jog::Way,
-    ) -> Result<(), ApiError> {
-        {
-            let inner = lock(&self.0);
-            let under_way = inner.under_way().filter(|entry| entry.kind == "jog");
-            if let (Some(_), Some((key, hold))) = (under_way, &inner.hold)
-                && *key == caller.key
-            {
-                hold.hold(way);
-                return Ok(());
-            }
-            inner.is_free()?;
-        }
-        let hold = Hold::default();
-        hold.hold(way);
-        self.start(app, caller, Wish::jog(&app.bench, hold))
-            .map(drop)
+        Ok((entry, with))
     }
 
     /// Somebody lets go, or is gone: the stage stands at once.

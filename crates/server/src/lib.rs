@@ -11,14 +11,18 @@ mod app;
 mod asked;
 mod audit;
 mod desk;
+mod door;
 mod ending;
 mod error;
+mod grabbing;
 mod guard;
 mod hand;
 mod instrument;
 mod jog;
 mod kept;
 mod live;
+mod look;
+mod names;
 mod page;
 mod people;
 mod random;
@@ -27,8 +31,10 @@ mod seat;
 mod serve;
 mod socket;
 mod standing;
+mod starting;
 
-pub use routes::routes;
+pub use door::DOOR;
+pub use routes::{OPENAPI, routes};
 pub use serve::{Before, ServeError, Server, Settings};
 
 /// What a panic left behind a lock is whole: every value is replaced in one go.

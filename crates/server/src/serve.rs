@@ -2,12 +2,14 @@
 
 use crate::app::{App, Demo};
 use crate::audit::Audit;
-use crate::guard::Names;
-use crate::live::{self, Live};
+use crate::door::Door;
+use crate::grabbing;
+use crate::look;
+use crate::names::Names;
 use crate::people::People;
 use crate::routes::router;
 use crate::seat::Seat;
-use crate::standing::{self, Standing};
+use crate::standing::Standing;
 use axum::Router;
 use axum::extract::ConnectInfo;
 use hyper::server::conn::http1;
@@ -108,6 +110,7 @@ pub struct Server {
     address: SocketAddr,
     runtime: Option<Runtime>,
     threads: Vec<JoinHandle<()>>,
+    _door: Option<Door>,
 }
 
 impl Server {
@@ -135,6 +138,14 @@ impl Server {
         let address = listener.local_addr()?;
         let app = Arc::new(app(bench, before, settings, address)?);
         app.learn_calibrated();
+        let door = match settings.demo {
+            true => None,
+            false => Some(Door::open(
+                &settings.folder,
+                address,
+                app.people.terminal(),
+            )?),
+        };
         let threads = spawn(&app)?;
         runtime.spawn(accept(listener, router(&app)));
         Ok(Self {
@@ -142,6 +153,7 @@ impl Server {
             address,
             runtime: Some(runtime),
             threads,
+            _door: door,
         })
     }
 
@@ -232,7 +244,7 @@ fn app(
         seat,
         people,
         audit: Audit::new(log),
-        live: Live::default(),
+        live: Arc::default(),
         standing: watch::channel(Arc::new(Standing::unknown())).0,
         events,
         slide: Mutex::new(None),
@@ -253,8 +265,8 @@ fn spawn(app: &Arc<App>) -> io::Result<Vec<JoinHandle<()>>> {
     let show = std::thread::Builder::new().name("live".into());
     let (a, b) = (app.clone(), app.clone());
     Ok(vec![
-        look.spawn(move || standing::watch(&a))?,
-        show.spawn(move || live::run(&b))?,
+        look.spawn(move || look::keep_looking(&a))?,
+        show.spawn(move || grabbing::run(&b))?,
     ])
 }
 

@@ -5,7 +5,9 @@ use crate::error::ApiError;
 use crate::guard::Need;
 use crate::jog::Way;
 use crate::live::{Live, Watching};
+use crate::look;
 use crate::people::Caller;
+use crate::starting;
 use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
 use scopeservo_station::{Heard, Listener};
 use serde::Deserialize;
@@ -116,7 +118,7 @@ impl Client {
 
     async fn tell_standing(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
         let standing = self.app.standing.borrow().clone();
-        let state = standing.told_to(&self.app, &self.caller);
+        let state = look::told(&standing, &self.app, &self.caller);
         tell(socket, json!({"type": "state", "state": state})).await
     }
 
@@ -195,7 +197,7 @@ impl Client {
                 self.caller.near = near;
                 let begun = match Need::Move.met_by(Some(&self.caller)) {
                     Ok(()) => {
-                        self.blocking(move |app, caller| app.desk.jog(app, caller, way))
+                        self.blocking(move |app, caller| starting::jog(app, caller, way))
                             .await
                     }
                     refused => refused,
@@ -211,7 +213,7 @@ impl Client {
     fn watch(&mut self, fps: f64) {
         self.sent = None;
         self.watching = match fps > 0.0 {
-            true => Some(Live::watch(&self.app)),
+            true => Some(Live::watch(&self.app.live)),
             false => None,
         };
         self.gap = match fps > 0.0 {

@@ -176,7 +176,16 @@ fn libraries_keep_to_themselves() {
         "report",
     ];
     let others = [
-        "twin", "scope", "protocol", "setup", "drivers", "library", "slide", "files",
+        "twin",
+        "scope",
+        "protocol",
+        "setup",
+        "drivers",
+        "library",
+        "slide",
+        "files",
+        "workbench",
+        "server",
     ];
     for name in strict.into_iter().chain(others) {
         let package = root().join("crates").join(name);

@@ -5,6 +5,7 @@
 
 #![warn(clippy::too_many_lines)]
 
+mod calibrations;
 mod console;
 mod journal;
 mod known;

@@ -1,7 +1,7 @@
 import { strict as assert } from "node:assert";
 import { test } from "node:test";
-import { apply, inverse, outline, scaleBar, turnDeg, type Point } from "../src/geometry.ts";
-import { age, duration, fixed, freeName, length } from "../src/format.ts";
+import { apply, inverse, isAway, outline, scaleBar, turnDeg, type Point } from "../src/geometry.ts";
+import { age, duration, fineStep, fixed, freeName, length } from "../src/format.ts";
 import { follow, EMPTY } from "../src/run/trace.ts";
 import type { Affine, EventRecord } from "../src/types.ts";
 
@@ -92,4 +92,28 @@ test("a run is what its events told, and another job begins another", () => {
   assert.equal(trace.steps.length, 1);
   trace = follow(trace, record(4, { event: "phase_started", phase: "focus", objective: "40x" }));
   assert.deepEqual([trace.job, trace.steps.length, trace.lost], [4, 0, 0]);
+});
+
+test("a stage that scatters stands where it stood, and one that moved does not", () => {
+  const from = { x_um: 100, y_um: -20, rz_deg: 3 };
+  assert.equal(isAway(from, { x_um: 100.6, y_um: -20.6, rz_deg: 3.04 }), false);
+  assert.equal(isAway(from, { x_um: 101.1, y_um: -20, rz_deg: 3 }), true);
+  assert.equal(isAway(from, { x_um: 100, y_um: -20, rz_deg: 3.06 }), true);
+  assert.equal(isAway(from, { x_um: 100, y_um: -20 }), false, "a stage without rotation");
+});
+
+test("a fine step of the focus goes with the scale, and is never nothing", () => {
+  assert.deepEqual([0.05, 0.25, 0.5, 2.2].map(fineStep), [0.5, 1, 2, 9]);
+});
+
+test("a step of a run knows where the stage stood, in the units that people read", () => {
+  const error = { t_m: [3e-6, 4e-6], theta_rad: Math.PI / 180 };
+  const record = { number: 1, time_s: 2, job: 7, from: "procedure", event: "iteration", objective: "10x", error, target_from_view: [[1, 0, 0], [0, 1, 0]], pairs: [], converged: false };
+  const seen = (stage: unknown) => follow(EMPTY, { ...record, stage } as EventRecord).steps[0].seenFrom;
+  const from = seen({ x: 1e-4, y: -2e-5, z: 0, rz: Math.PI / 60 }) ?? assert.fail("nothing");
+  near(from.x_um ?? 0, 100);
+  near(from.y_um ?? 0, -20);
+  near(from.rz_deg ?? 0, 3);
+  assert.equal(seen({ x: 0, y: 0 })?.rz_deg, undefined);
+  assert.equal(seen(undefined), null);
 });

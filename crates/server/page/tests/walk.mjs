@@ -1,30 +1,15 @@
 // The page as people use it, in a real browser, on the simulated microscope that the program serves.
 //   SCOPESERVO=target/release/scopeservo [SCOPESERVO_CHROMIUM=/usr/bin/chromium] [SCREENSHOTS=folder] [BUILT=built] npm run walk
 // BUILT: the page of that folder, instead of the one that the program was built with.
-import { spawn } from "node:child_process";
 import { strict as assert } from "node:assert";
 import { mkdirSync, readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { chromium } from "playwright-core";
+import { serve } from "./served.mjs";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const shots = process.env.SCREENSHOTS;
 if (shots) mkdirSync(shots, { recursive: true });
-
-function serve() {
-  const program = process.env.SCOPESERVO ?? "scopeservo";
-  const child = spawn(program, ["serve", "--demo", "--listen", "127.0.0.1:0"], { stdio: ["ignore", "pipe", "inherit"] });
-  return new Promise((resolve, reject) => {
-    let said = "";
-    child.stdout.on("data", (bytes) => {
-      said += bytes;
-      const link = /open (\S+)/.exec(said);
-      if (link) resolve({ link: link[1], end: () => new Promise((ended) => (child.on("exit", ended), child.kill("SIGINT"))) });
-    });
-    process.on("exit", () => child.kill());
-    child.on("exit", (code) => reject(new Error(`the program ended with ${code}`)));
-  });
-}
 
 const SIZES = { desk: { width: 1400, height: 900 }, phone: { width: 390, height: 844, touch: true } };
 const LONG = { timeout: 60_000 };

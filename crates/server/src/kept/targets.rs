@@ -2,7 +2,7 @@
 
 use crate::app::App;
 use crate::error::ApiError;
-use jpeg_encoder::{ColorType, Encoder};
+use crate::live::jpeg;
 use scopeservo_library::{KeptTarget, Targets as _, png_of};
 use scopeservo_protocol::Place;
 use scopeservo_scope::Frame;
@@ -12,7 +12,6 @@ use serde_json::{Value, json};
 
 /// The width of a small picture, pixels.
 const THUMB: usize = 320;
-const QUALITY: u8 = 80;
 
 /// A change of what is said of a target.
 #[derive(Debug, Default, Deserialize)]
@@ -109,11 +108,7 @@ pub(crate) fn thumbnail(app: &App, name: &str) -> Result<Vec<u8>, ApiError> {
             }
         }
     }
-    let mut jpeg = Vec::new();
-    Encoder::new(&mut jpeg, QUALITY)
-        .encode(&small, width as u16, height as u16, ColorType::Rgb)
-        .map_err(|e| ApiError::fault(e.to_string()))?;
-    Ok(jpeg)
+    jpeg(&small, [width, height]).map_err(ApiError::fault)
 }
 
 /// Changes what is said of it.

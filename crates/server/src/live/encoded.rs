@@ -1,12 +1,12 @@
 //! A frame as browsers take it: a head in JSON and a JPEG.
 
-use crate::app::App;
-use jpeg_encoder::{ColorType, Encoder};
+use image::ExtendedColorType;
+use image::codecs::jpeg::JpegEncoder;
 use scopeservo_protocol::Place;
 use scopeservo_scope::Frame;
 use scopeservo_servo::sharpness;
 use serde::Serialize;
-use std::time::Instant;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 /// No side that is sent is longer, pixels: a larger frame is halved until it fits.
 const LONGEST: usize = 1600;
@@ -20,7 +20,10 @@ const BLACK: u8 = 1;
 pub(crate) struct Head {
     pub(crate) seq: u64,
     pub(crate) time_s: f64,
+    /// Since it was grabbed, when it is sent.
     pub(crate) age_ms: f64,
+    /// When it is sent, ms since 1970 by the clock of the server's computer.
+    pub(crate) sent_ms: f64,
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) full_width: usize,
@@ -34,6 +37,16 @@ pub(crate) struct Head {
     pub(crate) dark: f64,
 }
 
+/// What is known of a frame beside what it shows.
+pub(crate) struct About {
+    pub(crate) seq: u64,
+    pub(crate) role: String,
+    /// Of the full frame.
+    pub(crate) um_per_px: Option<f64>,
+    pub(crate) objective: Option<String>,
+    pub(crate) at: Option<Place>,
+}
+
 /// A frame, encoded.
 pub(crate) struct Encoded {
     pub(crate) head: Head,
@@ -43,17 +56,11 @@ pub(crate) struct Encoded {
 }
 
 impl Encoded {
-    /// Encodes a frame that was asked for at `since`.
+    /// Encodes a frame that was there at `since`.
     ///
     /// # Errors
     /// A sentence, for an image that no JPEG holds.
-    pub(crate) fn of(
-        app: &App,
-        frame: &Frame,
-        role: String,
-        seq: u64,
-        since: Instant,
-    ) -> Result<Self, String> {
+    pub(crate) fn of(frame: &Frame, about: About, since: Instant) -> Result<Self, String> {
         let mut rgb = frame.rgb8();
         let count = rgb.len().max(1) as f64;
         let share = |is: fn(u8) -> bool| rgb.iter().filter(|v| is(**v)).count() as f64 / count;
@@ -63,30 +70,20 @@ impl Encoded {
             rgb = halved(&rgb, width, height);
             (width, height) = (width / 2, height / 2);
         }
-        let [w, h] = [width, height].map(u16::try_from);
-        let (Ok(w), Ok(h)) = (w, h) else {
-            return Err(format!(
-                "an image of {width} x {height} pixels cannot be sent"
-            ));
-        };
-        let mut jpeg = Vec::new();
-        Encoder::new(&mut jpeg, QUALITY)
-            .encode(&rgb, w, h, ColorType::Rgb)
-            .map_err(|e| format!("the image cannot be encoded: {e}"))?;
-        let standing = app.standing.borrow().clone();
-        let objective = standing.objective.clone();
+        let jpeg = jpeg(&rgb, [width, height])?;
         let head = Head {
-            seq,
+            seq: about.seq,
             time_s: frame.exposure_start.seconds(),
-            age_ms: since.elapsed().as_secs_f64() * 1e3,
+            age_ms: 0.0,
+            sent_ms: 0.0,
             width,
             height,
             full_width: frame.width,
             full_height: frame.height,
-            um_per_px: objective.as_ref().and_then(|id| app.um_per_px(id)),
-            objective: objective.map(|id| id.0),
-            at: standing.at.as_ref().map(Place::from),
-            role,
+            um_per_px: about.um_per_px,
+            objective: about.objective,
+            at: about.at,
+            role: about.role,
             sharpness: sharpness(frame),
             saturated,
             dark,
@@ -98,6 +95,9 @@ impl Encoded {
     pub(crate) fn message(&self) -> Vec<u8> {
         let head = Head {
             age_ms: self.since.elapsed().as_secs_f64() * 1e3,
+            sent_ms: SystemTime::now()
+                .duration_since(UNIX_EPOCH)
+                .map_or(0.0, |t| t.as_secs_f64() * 1e3),
             ..self.head.clone()
         };
         let head = serde_json::to_vec(&head).unwrap_or_default();
@@ -107,6 +107,18 @@ impl Encoded {
         message.extend(&self.jpeg);
         message
     }
+}
+
+/// Colours of 8 bits as a JPEG.
+///
+/// # Errors
+/// A sentence, for an image that no JPEG holds.
+pub(crate) fn jpeg(rgb: &[u8], [width, height]: [usize; 2]) -> Result<Vec<u8>, String> {
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+        .encode(rgb, width as u32, height as u32, ExtendedColorType::Rgb8)
+        .map_err(|e| format!("an image of {width} x {height} pixels cannot be sent: {e}"))?;
+    Ok(jpeg)
 }
 
 /// Each pixel the mean of four.

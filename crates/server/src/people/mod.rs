@@ -1,6 +1,7 @@
 //! Who may do what: users with passwords, programs with tokens, browsers with sessions.
 
 mod guesses;
+mod role;
 mod sessions;
 mod store;
 
@@ -12,24 +13,12 @@ use argon2::password_hash::phc::PasswordHash;
 use argon2::password_hash::{PasswordHasher as _, PasswordVerifier as _};
 use axum::http::StatusCode;
 use guesses::Guesses;
-use serde::{Deserialize, Serialize};
+pub(crate) use role::Role;
 use sessions::Sessions;
 use std::path::PathBuf;
 use std::sync::Mutex;
 use std::time::Instant;
 use store::{Account, Accounts, Token};
-
-/// What somebody may do; each may do what those before it may.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum Role {
-    /// Look, and stop.
-    Viewer,
-    /// Move, save, and go.
-    Operator,
-    /// Say who may.
-    Admin,
-}
 
 /// Who asks.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,6 +35,8 @@ pub(crate) struct Caller {
 
 /// The user of a demonstration.
 const VISITOR: &str = "you";
+/// The command line at this computer.
+const TERMINAL: &str = "terminal";
 /// The shortest password.
 const SHORTEST: usize = 8;
 /// The longest, bytes: hashing costs.
@@ -60,6 +51,8 @@ pub(crate) struct People {
     hashing: Mutex<()>,
     /// What the terminal shows: it lets the first one in, or in a demonstration everybody.
     key: String,
+    /// What programs of the same user at this computer have: the command line. It ends with the server.
+    terminal: String,
     is_demo: bool,
 }
 
@@ -96,6 +89,7 @@ impl People {
             guesses: Mutex::default(),
             hashing: Mutex::default(),
             key: secret().map_err(|e| e.to_string())?,
+            terminal: secret().map_err(|e| e.to_string())?,
             is_demo,
         })
     }
@@ -104,6 +98,11 @@ impl People {
     pub(crate) fn key(&self) -> Option<&str> {
         let opens = self.is_demo || lock(&self.accounts).users.is_empty();
         opens.then_some(&self.key)
+    }
+
+    /// What the command line at this computer has.
+    pub(crate) fn terminal(&self) -> &str {
+        &self.terminal
     }
 
     /// Whoever has the terminal's key.
@@ -182,6 +181,15 @@ impl People {
     /// Which program has this token.
     pub(crate) fn of_token(&self, token: &str, here: bool) -> Option<Caller> {
         let key = checksum(token);
+        if key == checksum(&self.terminal) {
+            return Some(Caller {
+                user: TERMINAL.into(),
+                role: Role::Operator,
+                key,
+                here,
+                near: here,
+            });
+        }
         let accounts = lock(&self.accounts);
         let found = accounts.tokens.iter().find(|t| t.checksum == key)?;
         // A token does no more than whoever made it may.

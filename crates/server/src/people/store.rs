@@ -1,6 +1,6 @@
 //! The file of users and tokens: readable for its owner alone.
 
-use super::Role;
+use super::role::Role;
 use crate::error::ApiError;
 use scopeservo_library::files::{make_folder, replace};
 use serde::{Deserialize, Serialize};

@@ -12,7 +12,7 @@ export function Panel({ bins }: { bins: Histogram | null }) {
   const [open, setOpen] = useState(false);
   const may = use((m) => m.me?.may_move ?? false);
   return (
-    <aside class={open ? "panel open" : "panel"} aria-label="Controls">
+    <aside class={open ? "panel open" : "panel"} aria-label="Controls" tabIndex={0}>
       <button type="button" class="handle" aria-expanded={open} onClick={() => setOpen(!open)}>
         {open ? "Hide controls" : "Controls"}
       </button>
@@ -21,6 +21,7 @@ export function Panel({ bins }: { bins: Histogram | null }) {
         <Light may={may} bins={bins} />
         {may && <JogPad />}
         <Where />
+        {may && <Care />}
       </div>
     </aside>
   );
@@ -156,5 +157,27 @@ function Axis({ name, value, unit }: { name: string; value: string; unit: string
         {value} <span class="soft">{unit}</span>
       </dd>
     </div>
+  );
+}
+
+/** What an instrument needs now and then. */
+function Care() {
+  const busy = !useMayStart();
+  const none = use((m) => m.instrument?.objectives.every((o) => !o.calibrated) ?? true);
+  return (
+    <section>
+      <h2>Instrument</h2>
+      <div class="row">
+        <button type="button" disabled={busy} title="measures how the camera sees the stage, objective by objective, over tissue" onClick={() => void start({ job: "calibrate" })}>
+          Calibrate
+        </button>
+        <button type="button" disabled={busy || none} title="two small moves with each objective tell whether its calibration holds" onClick={() => void start({ job: "check" })}>
+          Check
+        </button>
+        <button type="button" disabled={busy} title="looks through the devices; nothing moves" onClick={() => void start({ job: "doctor" })}>
+          Doctor
+        </button>
+      </div>
+    </section>
   );
 }

@@ -164,5 +164,15 @@ function told(last: WholeJob): string {
     const made = (answer.made as { calibration: { objective: string } }[] | undefined) ?? [];
     return `Calibrated: ${made.map((m) => m.calibration.objective).join(", ")}.`;
   }
+  if (last.kind === "check") {
+    type Checked = { told?: { objective: string; verdict: string }; unclear?: { objective: string; message: string } };
+    const all = (answer.checked as Checked[] | undefined) ?? [];
+    return all.map((c) => (c.told ? `${c.told.objective} is ${spaced(c.told.verdict)}.` : `${c.unclear?.objective}: ${c.unclear?.message}.`)).join(" ");
+  }
+  if (last.kind === "doctor") {
+    const all = (answer.findings as { trouble: unknown }[] | undefined) ?? [];
+    const wrong = all.filter((f) => f.trouble !== null && f.trouble !== undefined);
+    return wrong.length === 0 ? `All ${all.length} things that were looked at are well.` : `${wrong.length} of ${all.length} things are not well: scopeservo doctor tells which.`;
+  }
   return "";
 }

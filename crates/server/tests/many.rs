@@ -1,0 +1,141 @@
+//! Many at once, slow ones, and those who say nothing.
+
+mod common;
+
+use common::{Bench, HURRIED, PATIENCE, REAL};
+use serde_json::json;
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+#[test]
+fn who_says_nothing_is_cut_off_and_keeps_nobody_away_for_ever() {
+    let bench = Bench::demo(HURRIED);
+    let visitor = bench.visitor();
+    // More than there are places, half of them in the middle of a word.
+    let mut silent: Vec<TcpStream> = (0..600)
+        .filter_map(|k| {
+            let mut stream = TcpStream::connect(bench.address()).ok()?;
+            if k % 2 == 0 {
+                let _ = stream.write_all(b"GET /api/v1/state HTTP/1.1\r\nhost: ");
+            }
+            Some(stream)
+        })
+        .collect();
+    let since = Instant::now();
+    let served = loop {
+        let answer = std::panic::catch_unwind(|| visitor.get("/api/v1/state").status);
+        if answer.is_ok_and(|status| status == 200) {
+            break since.elapsed();
+        }
+        assert!(since.elapsed() < PATIENCE, "nobody comes in any more");
+        std::thread::sleep(Duration::from_millis(200));
+    };
+    assert!(served < PATIENCE);
+    // All of them are gone by then, or soon.
+    for stream in &mut silent {
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let mut rest = Vec::new();
+        let _ = stream.read_to_end(&mut rest);
+    }
+    assert_eq!(visitor.get("/api/v1/state").status, 200);
+}
+
+#[test]
+fn sleepers_and_slow_readers_cost_the_brisk_one_nothing() {
+    let bench = Bench::demo(REAL);
+    let visitor = bench.visitor();
+    let mut asleep: Vec<_> = (0..10).map(|_| visitor.socket()).collect();
+    for socket in &mut asleep {
+        socket.say(&json!({"type": "watch", "fps": 60.0}));
+    }
+    // The simple way, by one who never reads.
+    let mut mjpeg = TcpStream::connect(bench.address()).unwrap();
+    let cookie = visitor.cookie.as_ref().unwrap();
+    let host = bench.address();
+    let request =
+        format!("GET /api/v1/stream.mjpg HTTP/1.1\r\nhost: {host}\r\ncookie: {cookie}\r\n\r\n");
+    mjpeg.write_all(request.as_bytes()).unwrap();
+    let mut brisk = visitor.socket();
+    brisk.say(&json!({"type": "watch", "fps": 30.0}));
+    let mut last = 0;
+    for _ in 0..40 {
+        let frame = brisk.frame();
+        brisk.say(&json!({"type": "ack", "seq": frame.head["seq"]}));
+        let seq = frame.head["seq"].as_u64().unwrap();
+        assert!(seq > last);
+        last = seq;
+    }
+    // A job runs as it would.
+    let moved = visitor.run(&json!({"job": "move", "by": {"x_um": 20.0}}));
+    assert_eq!(moved["error"], json!(null), "{moved}");
+    // Nor is there room for any number of them.
+    let mut more = Vec::new();
+    let refused = loop {
+        let stream = TcpStream::connect(bench.address()).unwrap();
+        let url = format!("ws://{}/api/v1/live", bench.address());
+        let mut request = tungstenite::client::IntoClientRequest::into_client_request(url).unwrap();
+        request
+            .headers_mut()
+            .insert("cookie", cookie.parse().unwrap());
+        match tungstenite::client(request, stream) {
+            Ok((socket, _)) => more.push(socket),
+            Err(_) => break more.len(),
+        }
+        assert!(more.len() < 200, "no bound");
+    };
+    assert!(refused > 30, "{refused}");
+    assert_eq!(visitor.get("/api/v1/state").status, 200);
+}
+
+#[test]
+fn a_killed_job_is_told_and_goes_on_or_is_abandoned() {
+    let folder = std::sync::Arc::new(tempfile::TempDir::new().unwrap());
+    let bench = Bench::new(HURRIED, true, folder.clone());
+    let visitor = bench.visitor();
+    let id = visitor.start(&json!({"job": "calibrate", "objectives": ["40x"]}));
+    // What a program that is killed in the middle leaves, by taking its journal away before the end and putting it back after.
+    let journal = folder.path().join("scopeservo-data/journal");
+    let began = Instant::now();
+    let copy = folder.path().join("copy");
+    while !journal.is_dir() || std::fs::read_dir(&journal).unwrap().next().is_none() {
+        assert!(began.elapsed() < PATIENCE);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    copied(&journal, &copy);
+    visitor.post("/api/v1/stop", &json!({}));
+    visitor.ended(id);
+    drop(bench);
+    copied(&copy, &journal);
+    let bench = Bench::new(HURRIED, true, folder);
+    let visitor = bench.visitor();
+    let left = visitor.get("/api/v1/instrument").json()["left"].clone();
+    assert!(left.as_str().unwrap().contains("calibrate"), "{left}");
+    let other = visitor.post("/api/v1/jobs", &json!({"job": "focus"}));
+    assert_eq!((other.status, other.code().as_str()), (409, "unfinished"));
+    // A step by hand is no obstacle, and bars none.
+    visitor.run(&json!({"job": "objective", "objective": "10x"}));
+    assert_eq!(visitor.post("/api/v1/abandon", &json!({})).status, 200);
+    assert_eq!(
+        visitor.get("/api/v1/instrument").json()["left"],
+        json!(null)
+    );
+    assert_eq!(
+        visitor
+            .post("/api/v1/jobs", &json!({"job": "resume"}))
+            .code(),
+        "nothing_left"
+    );
+}
+
+fn copied(from: &std::path::Path, to: &std::path::Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap().flatten() {
+        let (path, to) = (entry.path(), to.join(entry.file_name()));
+        match path.is_dir() {
+            true => copied(&path, &to),
+            // One that was just replaced is there under another name.
+            false => drop(std::fs::copy(path, to)),
+        }
+    }
+}
