@@ -37,6 +37,22 @@ export function useMayStart(): boolean {
   return use(canStart);
 }
 
+/** Moves by hand end within a moment, of which this page hears a moment later. */
+const BRIEF = new Set(["move", "centre", "jog"]);
+
+function canPoint(m: Model): boolean {
+  return drives(m) && underWay(m).every((kind) => BRIEF.has(kind));
+}
+
+/** Whether a press in the view counts: also just after a move, where the server says whether it has ended. */
+export function mayPoint(): boolean {
+  return canPoint(get());
+}
+
+export function useMayPoint(): boolean {
+  return use(canPoint);
+}
+
 /** For what may be set while something is under way. */
 export function useDrives(): boolean {
   return use(drives);

@@ -278,7 +278,7 @@ test("click, drag and wheel", { targets: SOME() }, async ({ page, world }) => {
   await until(() => jobs().length === 1, "a click did nothing");
   assert.ok(Math.abs(jobs()[0].x - 0.5) < 0.01 && Math.abs(jobs()[0].y - 0.5) < 0.01);
   await idle();
-  await page.waitForTimeout(300);
+  // At once, before the page has heard that the stage stands.
   await page.mouse.move(x, y);
   await page.mouse.down();
   await page.mouse.move(x + 60, y + 30, { steps: 5 });

@@ -1,7 +1,7 @@
 // The specimen: a canvas that is drawn anew with each frame, and what is drawn over it.
 
 import { useEffect, useRef, useState } from "preact/hooks";
-import { by, mayStart, start, useMayStart } from "../act.ts";
+import { by, mayPoint, mayStart, start, useMayPoint } from "../act.ts";
 import { age, fineStep, length } from "../format.ts";
 import { isAway, outline, scaleBar } from "../geometry.ts";
 import { paintWith } from "../socket.ts";
@@ -54,7 +54,7 @@ export function View({ onHistogram }: { onHistogram: (bins: Histogram) => void }
     const from = pressed.current;
     pressed.current = null;
     setDrag([0, 0]);
-    if (!from || !mayStart()) return;
+    if (!from || !mayPoint()) return;
     const moved = Math.hypot(event.clientX - from[0], event.clientY - from[1]);
     if (moved < CLICK) {
       const place = share(event.clientX, event.clientY);
@@ -69,7 +69,7 @@ export function View({ onHistogram }: { onHistogram: (bins: Histogram) => void }
   };
 
   useWheel(canvas);
-  const may = useMayStart();
+  const may = useMayPoint();
 
   return (
     <div class="view">
@@ -80,7 +80,7 @@ export function View({ onHistogram }: { onHistogram: (bins: Histogram) => void }
         aria-label="The specimen, live"
         style={{ translate: `${drag[0]}px ${drag[1]}px` }}
         onPointerDown={(event) => {
-          if (event.button !== 0 || !mayStart()) return;
+          if (event.button !== 0 || !mayPoint()) return;
           pressed.current = [event.clientX, event.clientY];
           event.currentTarget.setPointerCapture(event.pointerId);
         }}
@@ -146,7 +146,7 @@ function Over() {
       <path class="cross" d={`M${w / 2 - w / 40} ${h / 2}h${w / 20}M${w / 2} ${h / 2 - w / 40}v${w / 20}`} />
       <Found frame={frame} />
       {bar && (
-        <g class="bar" transform={`translate(${w - bar.px - w / 40} ${h - h / 30})`}>
+        <g class="bar" transform={`translate(${w / 40} ${h - h / 30})`}>
           <path d={`M0 0h${bar.px}`} />
           <text x={bar.px / 2} y={-h / 60} font-size={w / 40} stroke-width={w / 220}>
             {length(bar.um).replace(".0 ", " ").replace(".00 ", " ")}
