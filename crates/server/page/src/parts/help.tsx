@@ -18,7 +18,7 @@ export function Help() {
           </div>
         ))}
       </dl>
-      <p class="soft">Click in the view to bring that place to the middle; drag to move it.</p>
+      <p class="soft">Click in the view to bring that place to the middle; drag to move it; the wheel steps the focus.</p>
       <div class="row end">
         <button type="button" class="primary" onClick={close}>
           Close
