@@ -224,7 +224,7 @@ async function withPeople(browser) {
     assert.equal(await vera.getByRole("button", { name }).count(), 0, `a viewer sees ${name}`);
   }
   await anna.keyboard.press("l");
-  await anna.getByRole("button", { name: "+9 µm" }).click();
+  await anna.getByRole("button", { name: "9 µm nearer" }).click();
   await vera.getByText("anna drives").waitFor();
   await shoot(vera, "desk", "viewer");
   await wellFormed(vera, "viewer");
