@@ -145,11 +145,18 @@ fn cookie(headers: &HeaderMap) -> Option<&str> {
 }
 
 /// The header that makes a browser remember a session, or forget it.
-pub(crate) fn set_cookie(session: Option<&str>) -> [(HeaderName, String); 1] {
-    let cookie = match session {
-        Some(session) => format!("{COOKIE}={session}; Path=/; HttpOnly; SameSite=Strict"),
-        None => format!("{COOKIE}=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0"),
+pub(crate) fn set_cookie(session: Option<&str>, headers: &HeaderMap) -> [(HeaderName, String); 1] {
+    let (session, age) = match session {
+        Some(session) => (session, ""),
+        None => ("", "; Max-Age=0"),
     };
+    // What came through a proxy with TLS goes by no other way.
+    let origin = text(headers, header::ORIGIN).unwrap_or_default();
+    let secure = match origin.starts_with("https://") {
+        true => "; Secure",
+        false => "",
+    };
+    let cookie = format!("{COOKIE}={session}; Path=/; HttpOnly; SameSite=Strict{secure}{age}");
     [(header::SET_COOKIE, cookie)]
 }
 

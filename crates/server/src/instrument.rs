@@ -52,6 +52,7 @@ impl App {
                 "turns": range.axis == Axis::Rz,
             })
         });
+        let nearer = gate.info().positive_z.nearer_by(1.0, 0.0) > 0.0;
         let info = scope.camera().info();
         Ok(json!({
             "name": self.bench.config.name,
@@ -59,6 +60,8 @@ impl App {
             "version": env!("CARGO_PKG_VERSION"),
             "objectives": objectives.collect::<Vec<_>>(),
             "axes": axes.collect::<Vec<_>>(),
+            // Which way z goes towards the specimen.
+            "nearer_z": if nearer { 1 } else { -1 },
             "camera": {"name": info.name, "width": info.width, "height": info.height},
             "has_light": scope.light().is_some(),
             "demo": self.demo.is_some(),

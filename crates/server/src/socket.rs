@@ -8,6 +8,7 @@ use crate::live::{Live, Watching};
 use crate::look;
 use crate::people::Caller;
 use crate::starting;
+use axum::body::Bytes;
 use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
 use scopeservo_station::{Heard, Listener};
 use serde::Deserialize;
@@ -20,6 +21,8 @@ use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Who does not draw a frame within so long is sent the next one all the same.
 const UNDRAWN: Duration = Duration::from_secs(2);
+/// How often a browser is asked whether it is there still: it answers by itself, also while nobody looks at it.
+const PING: Duration = Duration::from_secs(5);
 /// How things stand is told as often, when nothing changes.
 const STANDING: Duration = Duration::from_secs(1);
 /// So many events at once, then frames have their turn.
@@ -93,12 +96,15 @@ impl Client {
         let mut events = self.app.events.subscribe();
         let mut often = interval(STANDING);
         often.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut ping = interval(PING);
+        ping.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut draw = interval(Duration::from_millis(10));
         draw.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
                 said = socket.recv() => match said {
                     Some(Ok(Message::Text(text))) => self.heard(socket, &text).await?,
+                    Some(Ok(Message::Pong(_))) => self.is_there(),
                     Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(Gone),
                     Some(Ok(_)) => {}
                 },
@@ -106,6 +112,7 @@ impl Client {
                     changed.map_err(|_| Gone)?;
                     self.tell_standing(socket).await?;
                 }
+                _ = ping.tick() => send(socket, Message::Ping(Bytes::new())).await?,
                 _ = often.tick() => self.tell_standing(socket).await?,
                 changed = events.changed() => {
                     changed.map_err(|_| Gone)?;
@@ -208,6 +215,13 @@ impl Client {
             }
         }
         Ok(())
+    }
+
+    /// Whoever drives keeps the seat while their job is under way, though they look at something else meanwhile.
+    fn is_there(&self) {
+        if self.app.desk.under_way().is_some() {
+            self.app.seat.renew(&self.caller);
+        }
     }
 
     fn watch(&mut self, fps: f64) {

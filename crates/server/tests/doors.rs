@@ -203,6 +203,34 @@ fn from_elsewhere_nothing_moves_until_somebody_here_allows_it() {
 }
 
 #[test]
+fn what_came_by_tls_goes_by_no_other_way() {
+    let folder = Arc::new(TempDir::new().unwrap());
+    let bench = Bench::named(HURRIED, true, folder, &["scope-3.lab:443"]);
+    let key = json!({"key": bench.key.clone().unwrap()}).to_string();
+    let enter = |headers: &[(&str, &str)]| {
+        bench
+            .stranger()
+            .with("POST", "/api/v1/enter", headers, &key)
+    };
+    let plain = enter(&[]);
+    assert!(!plain.header("set-cookie").unwrap().contains("Secure"));
+    let headers = [
+        ("host", "scope-3.lab:443"),
+        ("origin", "https://scope-3.lab:443"),
+    ];
+    let by_tls = enter(&headers);
+    assert_eq!(by_tls.status, 200);
+    assert!(by_tls.header("set-cookie").unwrap().contains("; Secure"));
+    // And is elsewhere, whoever it is.
+    let visitor = bench.stranger().with_cookie(&by_tls);
+    let me = visitor.with("GET", "/api/v1/me", &headers, "").json();
+    assert_eq!(
+        (&me["here"], &me["may_move"]),
+        (&json!(false), &json!(false))
+    );
+}
+
+#[test]
 fn what_makes_no_sense_is_refused_with_a_sentence() {
     let mut bench = Bench::demo(HURRIED);
     let visitor = bench.visitor();

@@ -13,6 +13,8 @@ export type Instrument = {
   objectives: Objective[];
   axes: { axis: string; unit: string; least: number; most: number }[];
   camera: { name: string; width: number; height: number };
+  /** Which way z goes towards the specimen, 1 or -1. */
+  nearer_z: number;
   has_light: boolean;
   demo: boolean;
   left: string | null;

@@ -289,7 +289,7 @@ test("click, drag and wheel", { targets: SOME() }, async ({ page, world }) => {
   await page.waitForTimeout(300);
   await page.mouse.wheel(0, -100);
   await until(() => jobs().length === 3, "the wheel did nothing");
-  assert.ok(jobs()[2].by.z_um > 0);
+  assert.deepEqual(jobs()[2].by, { z_um: -1 }, "upwards is away from the specimen");
   // Many notches are not many jobs.
   for (let k = 0; k < 8; k++) await page.mouse.wheel(0, 100);
   await idle();
@@ -297,7 +297,7 @@ test("click, drag and wheel", { targets: SOME() }, async ({ page, world }) => {
   await idle();
   const [, , , ...turned] = jobs();
   assert.ok(turned.length >= 1 && turned.length <= 4, `${turned.length} jobs`);
-  assert.ok(turned.every((job) => job.by.z_um < 0));
+  assert.ok(turned.every((job) => job.by.z_um > 0));
   assert.equal(await page.getByRole("alert").count(), 0, "none was refused");
 }, ["desk"]);
 

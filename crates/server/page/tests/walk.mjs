@@ -2,10 +2,12 @@
 //   SCOPESERVO=target/release/scopeservo [SCOPESERVO_CHROMIUM=/usr/bin/chromium] [SCREENSHOTS=folder] [BUILT=built] npm run walk
 // BUILT: the page of that folder, instead of the one that the program was built with.
 import { strict as assert } from "node:assert";
-import { mkdirSync, readFileSync } from "node:fs";
+import { mkdirSync, mkdtempSync, readFileSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { createRequire } from "node:module";
 import { chromium } from "playwright-core";
-import { serve } from "./served.mjs";
+import { run, serve } from "./served.mjs";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const shots = process.env.SCREENSHOTS;
@@ -25,6 +27,10 @@ async function wellFormed(page, where) {
   assert.deepEqual(serious.map((v) => [v.id, v.nodes.map((n) => n.html.slice(0, 120))]), [], where);
 }
 
+async function ours(page) {
+  if (process.env.BUILT) await page.route(/\/app\.(js|css)$/, (route) => route.fulfill({ path: `${process.env.BUILT}${new URL(route.request().url()).pathname}` }));
+}
+
 async function opened(browser, link, { touch, ...viewport }, more = {}) {
   const context = await browser.newContext({ viewport, hasTouch: Boolean(touch), isMobile: Boolean(touch), ...more });
   const page = await context.newPage();
@@ -32,7 +38,7 @@ async function opened(browser, link, { touch, ...viewport }, more = {}) {
   const wrong = [];
   page.on("pageerror", (error) => wrong.push(String(error)));
   page.on("console", (message) => message.type() === "error" && !/401|409/.test(message.text()) && wrong.push(message.text()));
-  if (process.env.BUILT) await page.route(/\/app\.(js|css)$/, (route) => route.fulfill({ path: `${process.env.BUILT}${new URL(route.request().url()).pathname}` }));
+  await ours(page);
   await page.goto(link);
   await page.locator(".paper[data-seq]").waitFor(LONG);
   assert.equal(new URL(page.url()).hash, "", "the key stays in no address");
@@ -185,6 +191,57 @@ async function others(browser, link, end) {
   await lost.end();
 }
 
+/** An instrument of one's own: the first user, another one who may only look, and one who drives. */
+async function withPeople(browser) {
+  const folder = mkdtempSync(join(tmpdir(), "scopeservo-"));
+  await run(folder, "init", "--twin");
+  const { link, end } = await serve(folder);
+  const person = async (at) => {
+    const page = await (await browser.newContext({ viewport: SIZES.desk })).newPage();
+    page.setDefaultTimeout(20_000);
+    await ours(page);
+    await page.goto(at);
+    return page;
+  };
+  const anna = await person(link);
+  await anna.getByText("You are the first one here").waitFor();
+  await shoot(anna, "desk", "first");
+  await wellFormed(anna, "first");
+  await anna.getByLabel("Name").fill("anna");
+  await anna.getByLabel("Password").fill("long enough");
+  await anna.getByRole("button", { name: "Begin" }).click();
+  await anna.locator(".paper[data-seq]").waitFor(LONG);
+  await anna.getByRole("button", { name: "People" }).click();
+  const users = anna.locator("section", { has: anna.getByRole("heading", { name: "Users" }) });
+  await users.getByPlaceholder("name").fill("vera");
+  await users.getByPlaceholder("password").fill("long enough");
+  await users.getByRole("button", { name: "Add" }).click();
+  await users.getByText("vera").waitFor();
+  await shoot(anna, "desk", "users");
+  // Whoever may look sees all of it, and no button that would be refused; stopping is everybody's.
+  const vera = await person(link.replace(/#.*/, ""));
+  await vera.getByLabel("Name").fill("vera");
+  await vera.getByLabel("Password").fill("a wrong one");
+  await vera.getByRole("button", { name: "Log in" }).click();
+  await vera.getByRole("alert").waitFor();
+  await vera.getByLabel("Password").fill("long enough");
+  await vera.getByRole("button", { name: "Log in" }).click();
+  await vera.locator(".paper[data-seq]").waitFor(LONG);
+  for (const name of [/^Save this view/, /^Go back/, /^Focus/, "Calibrate", /^up/, "People"]) {
+    assert.equal(await vera.getByRole("button", { name }).count(), 0, `a viewer sees ${name}`);
+  }
+  await anna.keyboard.press("l");
+  await anna.getByRole("button", { name: "9 µm nearer" }).click();
+  await vera.getByText("anna drives").waitFor();
+  await shoot(vera, "desk", "viewer");
+  await wellFormed(vera, "viewer");
+  await vera.getByRole("button", { name: /^Stop/ }).click();
+  await vera.keyboard.press("s");
+  assert.equal(await vera.getByRole("dialog").count(), 0);
+  await end();
+  rmSync(folder, { recursive: true });
+}
+
 const { link, end } = await serve();
 const executablePath = process.env.SCOPESERVO_CHROMIUM ?? "/usr/bin/chromium";
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
@@ -192,6 +249,7 @@ try {
   await atDesk(browser, link);
   await onPhone(browser, link);
   await others(browser, link, end);
+  await withPeople(browser);
   console.log("all of it works");
 } finally {
   await browser.close();

@@ -45,12 +45,15 @@ struct Key {
 }
 
 async fn enter(State(app): Shared, request: Request) -> Result<Response, ApiError> {
+    let headers = request.headers().clone();
     let Key { key } = body(request).await?;
     match aside(&app, move |app| app.people.enter(&key)).await? {
         Entered::Claim => Ok(Json(json!({"claim": true})).into_response()),
-        Entered::Session(session) => {
-            Ok((set_cookie(Some(&session)), Json(json!({"claim": false}))).into_response())
-        }
+        Entered::Session(session) => Ok((
+            set_cookie(Some(&session), &headers),
+            Json(json!({"claim": false})),
+        )
+            .into_response()),
     }
 }
 
@@ -63,13 +66,14 @@ struct Claim {
 }
 
 async fn claim(State(app): Shared, request: Request) -> Result<Response, ApiError> {
+    let headers = request.headers().clone();
     let Claim {
         key,
         name,
         password,
     } = body(request).await?;
     let session = aside(&app, move |app| app.people.claim(&key, &name, &password)).await?;
-    Ok((set_cookie(Some(&session)), Json(json!({}))).into_response())
+    Ok((set_cookie(Some(&session), &headers), Json(json!({}))).into_response())
 }
 
 #[derive(Deserialize)]
@@ -80,14 +84,19 @@ struct LogIn {
 }
 
 async fn log_in(State(app): Shared, request: Request) -> Result<Response, ApiError> {
+    let headers = request.headers().clone();
     let LogIn { name, password } = body(request).await?;
     let session = aside(&app, move |app| app.people.log_in(&name, &password)).await?;
-    Ok((set_cookie(Some(&session)), Json(json!({}))).into_response())
+    Ok((set_cookie(Some(&session), &headers), Json(json!({}))).into_response())
 }
 
-async fn log_out(State(app): Shared, Extension(caller): Extension<Caller>) -> Response {
+async fn log_out(
+    State(app): Shared,
+    Extension(caller): Extension<Caller>,
+    request: Request,
+) -> Response {
     app.people.log_out(&caller);
-    (set_cookie(None), Json(json!({}))).into_response()
+    (set_cookie(None, request.headers()), Json(json!({}))).into_response()
 }
 
 async fn me(Extension(caller): Extension<Caller>) -> Json<Value> {

@@ -45,6 +45,11 @@ impl Bench {
     }
 
     pub(crate) fn new(twin: &str, demo: bool, folder: Arc<TempDir>) -> Self {
+        Self::named(twin, demo, folder, &[])
+    }
+
+    /// The same behind a proxy of these names.
+    pub(crate) fn named(twin: &str, demo: bool, folder: Arc<TempDir>, names: &[&str]) -> Self {
         let path = folder.path().join("scopeservo.toml");
         let config = Config::parse(&described(twin), &path).unwrap();
         let before = Before::default();
@@ -57,7 +62,7 @@ impl Bench {
         let bench = Workbench::open(config, &consent, CancelToken::new(), |e| panic!("{e}"));
         let settings = Settings {
             listen: "127.0.0.1:0".parse().unwrap(),
-            names: Vec::new(),
+            names: names.iter().map(|name| (*name).to_owned()).collect(),
             demo,
             folder: folder.path().join("server"),
         };

@@ -31,6 +31,7 @@ function Focus({ may }: { may: boolean }) {
   const all = use((m) => m.sharpness);
   const um = use((m) => m.instrument?.objectives.find((o) => o.id === m.state?.objective)?.um_per_px ?? 1);
   const busy = !useMayStart();
+  const nearer = use((m) => m.instrument?.nearer_z ?? 0);
   const most = Math.max(1e-9, ...all);
   const points = all.map((v, k) => `${(k * 100) / 89},${30 - (28 * v) / most}`).join(" ");
   const fine = fineStep(um);
@@ -42,11 +43,11 @@ function Focus({ may }: { may: boolean }) {
       </svg>
       {may && (
         <div class="row">
-          <button type="button" disabled={busy} title="towards the specimen" onClick={() => by("z_um", fine)}>
-            +{fine} µm
+          <button type="button" disabled={busy || nearer === 0} onClick={() => by("z_um", fine * nearer)}>
+            {fine} µm nearer
           </button>
-          <button type="button" disabled={busy} title="away from the specimen" onClick={() => by("z_um", -fine)}>
-            −{fine} µm
+          <button type="button" disabled={busy || nearer === 0} onClick={() => by("z_um", -fine * nearer)}>
+            {fine} µm away
           </button>
           <button type="button" disabled={busy} onClick={() => void start({ job: "focus" })}>
             Focus <kbd>F</kbd>

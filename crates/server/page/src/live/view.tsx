@@ -100,7 +100,7 @@ export function View({ onHistogram }: { onHistogram: (bins: Histogram) => void }
   );
 }
 
-/** The wheel steps the focus: one notch, one fine step. What is turned while the stage moves is done in one step afterwards. */
+/** The wheel steps the focus: one notch, one fine step, upwards away from the specimen as the key Page up. What is turned while the stage moves is done in one step afterwards. */
 function useWheel(canvas: { current: HTMLCanvasElement | null }): void {
   useEffect(() => {
     const paper = canvas.current;
@@ -116,7 +116,8 @@ function useWheel(canvas: { current: HTMLCanvasElement | null }): void {
       }
       const { state, instrument } = get();
       const um = instrument?.objectives.find((o) => o.id === state?.objective)?.um_per_px ?? 1;
-      by("z_um", notches * fineStep(um));
+      const nearer = instrument?.nearer_z ?? 0;
+      if (nearer !== 0) by("z_um", -nearer * notches * fineStep(um));
       notches = 0;
       // Until the server has told that it moves.
       timer = window.setTimeout(step, WHEEL_MS);
