@@ -185,6 +185,10 @@ fn skipped(command: &str) -> Option<&'static str> {
             "scopeservo twin serve",
             "does not end by itself; by twin tests",
         ),
+        (
+            "scopeservo serve",
+            "does not end by itself; by serve.rs and the page's walk",
+        ),
         ("scopeservo COMMAND", "stands for any command"),
     ];
     all.iter()

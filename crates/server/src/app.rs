@@ -38,6 +38,8 @@ pub(crate) struct App {
     pub(crate) names: Names,
     /// A demonstration, whose slide can be taken out and put back.
     pub(crate) demo: Option<Demo>,
+    /// Counts the stops: what was held when one came is to be let go first.
+    pub(crate) stops: AtomicU64,
     /// Counts what changed of what is kept.
     pub(crate) revision: AtomicU64,
     /// Until when somebody at another machine may move the instrument.

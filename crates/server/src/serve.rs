@@ -251,6 +251,7 @@ fn app(
         calibrated: Mutex::default(),
         names: Names::of(address, &settings.names),
         demo,
+        stops: AtomicU64::new(0),
         revision: AtomicU64::new(0),
         elsewhere: Mutex::new(None),
         sockets: Arc::new(Semaphore::new(SOCKETS)),

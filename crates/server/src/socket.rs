@@ -14,6 +14,7 @@ use scopeservo_station::{Heard, Listener};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 
@@ -52,6 +53,8 @@ struct Client {
     /// The frame that is being drawn, and since when.
     sent: Option<(u64, Instant)>,
     last_frame: Instant,
+    /// The stops that there had been when nothing was held last.
+    stops: u64,
 }
 
 /// Serves one connection until it ends.
@@ -65,6 +68,7 @@ pub(crate) async fn serve(app: Arc<App>, caller: Caller, mut socket: WebSocket) 
         gap: Duration::ZERO,
         sent: None,
         last_frame: Instant::now(),
+        stops: app.stops.load(Ordering::SeqCst),
         app,
         caller,
     };
@@ -186,6 +190,7 @@ impl Client {
             }
             Said::Ping { n } => tell(socket, json!({"type": "pong", "n": n})).await?,
             Said::JogEnd {} => {
+                self.stops = self.app.stops.load(Ordering::SeqCst);
                 self.blocking(|app, caller| {
                     app.desk.let_go(&caller.key);
                     Ok(())
@@ -198,6 +203,11 @@ impl Client {
                 if let Err(error) = stopped {
                     return refuse(socket, error).await;
                 }
+            }
+            // A stop came while it was held: it is let go first, whatever the program there does.
+            Said::Jog(_) if self.stops != self.app.stops.load(Ordering::SeqCst) => {
+                let message = "a stop came: let go, and hold again";
+                return refuse(socket, ApiError::conflict("stopped", message)).await;
             }
             Said::Jog(way) => {
                 let near = self.caller.here || self.app.elsewhere_for().is_some();
@@ -256,6 +266,7 @@ impl Client {
 /// # Errors
 /// What a device answers that does not take the stop.
 pub(crate) fn stop(app: &Arc<App>, caller: &Caller) -> Result<(), ApiError> {
+    app.stops.fetch_add(1, Ordering::SeqCst);
     let told = app.console.session().stop();
     let _ = app.audit.note(caller, "stopped", Value::Null);
     Ok(told?)

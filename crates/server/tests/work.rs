@@ -193,6 +193,19 @@ fn what_is_held_moves_and_stands_when_it_is_let_go_or_nobody_is_there() {
     // No word any more: it stands by itself.
     hold(&mut socket, 4);
     stands();
+    // A stop ends it for good, though the program there goes on saying the same, until it lets go.
+    hold(&mut socket, 3);
+    assert_eq!(visitor.post("/api/v1/stop", &json!({})).status, 200);
+    stands();
+    let jogs = || visitor.state()["jobs"][0]["id"].clone();
+    let before = jogs();
+    hold(&mut socket, 4);
+    assert_eq!(socket.text("refused")["code"], "stopped");
+    assert_eq!(jogs(), before);
+    socket.say(&json!({"type": "jog_end"}));
+    hold(&mut socket, 4);
+    stands();
+    assert_ne!(jogs(), before);
     // The browser is gone.
     hold(&mut socket, 4);
     drop(socket);

@@ -13,6 +13,7 @@ use axum::routing::{get, post};
 use axum::{Extension, Json};
 use serde::Deserialize;
 use serde_json::{Value, json};
+use std::sync::atomic::Ordering;
 
 pub(super) fn routes() -> Vec<Route> {
     use Need::{Move, View};
@@ -59,6 +60,7 @@ async fn stop_job(
 ) -> Answer {
     let entry = app.desk.one(id)?;
     let told = aside(&app, move |app| {
+        app.stops.fetch_add(1, Ordering::SeqCst);
         let told = entry.handle.stop();
         app.audit
             .noted(&caller, "stopped a job", json!({"id": id}))?;
