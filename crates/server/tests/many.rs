@@ -94,12 +94,18 @@ fn a_killed_job_is_told_and_goes_on_or_is_abandoned() {
     let bench = Bench::new(HURRIED, true, folder.clone());
     let visitor = bench.visitor();
     let id = visitor.start(&json!({"job": "calibrate", "objectives": ["40x"]}));
-    // What a program that is killed in the middle leaves, by taking its journal away before the end and putting it back after.
+    // What a program that is killed between two steps leaves: its journal as it stands while the job waits.
     let journal = folder.path().join("scopeservo-data/journal");
-    let began = Instant::now();
     let copy = folder.path().join("copy");
-    while !journal.is_dir() || std::fs::read_dir(&journal).unwrap().next().is_none() {
+    let began = Instant::now();
+    let is_begun = || std::fs::read_dir(&journal).is_ok_and(|mut all| all.next().is_some());
+    while !is_begun() {
         assert!(began.elapsed() < PATIENCE);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    visitor.post(&format!("/api/v1/jobs/{id}/pause"), &json!({}));
+    while visitor.job(id)["state"]["state"] != "paused" {
+        assert!(began.elapsed() < PATIENCE, "{}", visitor.job(id));
         std::thread::sleep(Duration::from_millis(5));
     }
     copied(&journal, &copy);
@@ -134,8 +140,7 @@ fn copied(from: &std::path::Path, to: &std::path::Path) {
         let (path, to) = (entry.path(), to.join(entry.file_name()));
         match path.is_dir() {
             true => copied(&path, &to),
-            // One that was just replaced is there under another name.
-            false => drop(std::fs::copy(path, to)),
+            false => drop(std::fs::copy(path, to).unwrap()),
         }
     }
 }

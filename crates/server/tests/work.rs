@@ -162,7 +162,17 @@ fn one_job_at_a_time_and_a_stop_ends_it_for_whoever_asks() {
 fn what_is_held_moves_and_stands_when_it_is_let_go_or_nobody_is_there() {
     let bench = Bench::demo(REAL);
     let visitor = bench.visitor();
-    let x = || visitor.state()["at"]["x_um"].as_f64().unwrap();
+    let x = || {
+        let since = Instant::now();
+        loop {
+            // Nobody may have looked yet.
+            if let Some(x) = visitor.state()["at"]["x_um"].as_f64() {
+                return x;
+            }
+            assert!(since.elapsed() < PATIENCE, "nobody knows where it is");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
     let mut socket = visitor.socket();
     socket.text("hello");
     let began = x();
