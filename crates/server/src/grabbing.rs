@@ -2,12 +2,13 @@
 
 use crate::app::App;
 use crate::live::{About, Encoded};
+use crate::lock;
 use scopeservo_protocol::Place;
 use scopeservo_scope::Frame;
 use scopeservo_station::Listener;
 use serde_json::json;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Not more often than this.
@@ -17,8 +18,38 @@ const IDLE: Duration = Duration::from_millis(30);
 /// After a camera that does not answer.
 const TROUBLED: Duration = Duration::from_millis(500);
 
-/// Shows what jobs grab, and grabs by itself while none is at work, until the server ends.
+/// A frame that waits to be encoded: the newest, as one that nobody will see is not.
+#[derive(Default)]
+struct Slot {
+    waits: Mutex<Option<(Arc<Frame>, About, Instant)>>,
+    came: Condvar,
+}
+
+/// Shows what jobs grab, and grabs by itself while none is at work, until the server ends. The next one is grabbed while one is encoded.
 pub(crate) fn run(app: &Arc<App>) {
+    let slot = Slot::default();
+    std::thread::scope(|threads| {
+        threads.spawn(|| encode(app, &slot));
+        grab(app, &slot);
+    });
+}
+
+fn encode(app: &App, slot: &Slot) {
+    while !app.ends.load(Ordering::SeqCst) {
+        let waits = lock(&slot.waits);
+        let none = |waits: &mut Option<_>| waits.is_none();
+        let waited = slot.came.wait_timeout_while(waits, IDLE, none);
+        let frame = waited.unwrap_or_else(PoisonError::into_inner).0.take();
+        if let Some((frame, about, since)) = frame {
+            match Encoded::of(&frame, about, since) {
+                Ok(encoded) => app.live.show(encoded),
+                Err(why) => app.live.is_troubled(why),
+            }
+        }
+    }
+}
+
+fn grab(app: &App, slot: &Slot) {
     let mut listener = app.console.session().listen();
     let mut sequence = 0;
     while !app.ends.load(Ordering::SeqCst) {
@@ -32,10 +63,8 @@ pub(crate) fn run(app: &Arc<App>) {
         };
         let since = Instant::now();
         sequence += 1;
-        match Encoded::of(&frame, about(app, role, sequence), since) {
-            Ok(encoded) => app.live.show(encoded),
-            Err(why) => app.live.is_troubled(why),
-        }
+        *lock(&slot.waits) = Some((frame, about(app, role, sequence), since));
+        slot.came.notify_one();
         let left = FASTEST.saturating_sub(began.elapsed());
         std::thread::sleep(left);
     }

@@ -22,6 +22,8 @@ use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Who does not draw a frame within so long is sent the next one all the same.
 const UNDRAWN: Duration = Duration::from_secs(2);
+/// How often it is looked whether a frame may go.
+const DRAW: Duration = Duration::from_millis(4);
 /// How often a browser is asked whether it is there still: it answers by itself, also while nobody looks at it.
 const PING: Duration = Duration::from_secs(5);
 /// How things stand is told as often, when nothing changes.
@@ -102,7 +104,7 @@ impl Client {
         often.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut ping = interval(PING);
         ping.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut draw = interval(Duration::from_millis(10));
+        let mut draw = interval(DRAW);
         draw.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
