@@ -3,6 +3,7 @@
 use crate::audit::Audit;
 use crate::desk::Desk;
 use crate::error::ApiError;
+use crate::kept::Remembered;
 use crate::live::Live;
 use crate::names::Names;
 use crate::people::People;
@@ -32,6 +33,8 @@ pub(crate) struct App {
     pub(crate) events: watch::Sender<u64>,
     /// What lies on the stage, as somebody said.
     pub(crate) slide: Mutex<Option<String>>,
+    /// What was told of targets.
+    pub(crate) told: Remembered,
     /// Objectives that are calibrated, with the size of a pixel, um.
     pub(crate) calibrated: Mutex<BTreeMap<ObjectiveId, f64>>,
     /// By which names browsers may know us.

@@ -248,6 +248,7 @@ fn app(
         standing: watch::channel(Arc::new(Standing::unknown())).0,
         events,
         slide: Mutex::new(None),
+        told: Default::default(),
         calibrated: Mutex::default(),
         names: Names::of(address, &settings.names),
         demo,

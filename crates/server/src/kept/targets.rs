@@ -2,6 +2,7 @@
 
 use crate::app::App;
 use crate::error::ApiError;
+use crate::kept::remembered::Stamp;
 use crate::live::jpeg;
 use scopeservo_library::{KeptTarget, Targets as _, png_of};
 use scopeservo_protocol::Place;
@@ -9,6 +10,7 @@ use scopeservo_scope::Frame;
 use scopeservo_servo::TargetQuality;
 use serde::Deserialize;
 use serde_json::{Value, json};
+use std::fmt::Display;
 
 /// The width of a small picture, pixels.
 const THUMB: usize = 320;
@@ -55,16 +57,40 @@ fn quality(quality: Option<&TargetQuality>) -> Value {
     json!({"word": word, "text": quality.to_string(), "chance": quality.chance})
 }
 
+/// What is to be told of a target that may be damaged: read anew where its file is another.
+fn told_or_wrong(app: &App, name: &str) -> Value {
+    let damaged =
+        |error: &dyn Display| json!({"name": name, "saved": "", "damaged": error.to_string()});
+    let path = match app.bench.library.target_path(name) {
+        Ok(path) => path,
+        Err(error) => return damaged(&error),
+    };
+    let stamp = Stamp::of(&path);
+    if let Some(value) = app.told.get(&path, stamp) {
+        return value;
+    }
+    match app.bench.library.target(name) {
+        Err(error) => damaged(&error),
+        Ok(kept) => {
+            let value = told(app, name, &kept);
+            app.told.put(path, stamp, value.clone());
+            value
+        }
+    }
+}
+
 /// All of them, the newest first; one that is damaged is there with what is wrong with it.
 pub(crate) fn targets(app: &App, text: &str) -> Result<Value, ApiError> {
-    let names = app.bench.library.target_names()?.into_iter();
+    let names = app.bench.library.target_names()?;
+    let paths = names
+        .iter()
+        .filter_map(|name| app.bench.library.target_path(name).ok());
+    app.told.keep(&paths.collect());
+    let names = names.into_iter();
     let wanted = text.to_lowercase();
     let mut all: Vec<Value> = names
         .filter(|name| name.to_lowercase().contains(&wanted))
-        .map(|name| match app.bench.library.target(&name) {
-            Ok(kept) => told(app, &name, &kept),
-            Err(error) => json!({"name": name, "saved": "", "damaged": error.to_string()}),
-        })
+        .map(|name| told_or_wrong(app, &name))
         .collect();
     all.sort_by(|a, b| b["saved"].as_str().cmp(&a["saved"].as_str()));
     Ok(Value::Array(all))
