@@ -115,10 +115,14 @@ pub(crate) fn keep_looking(app: &Arc<App>) {
         let now = look(app, &before);
         before = now.clone();
         app.standing.send_replace(Arc::new(now));
-        let since = Instant::now();
-        while since.elapsed() < OFTEN {
-            app.desk.end_stale_jog();
-            std::thread::sleep(HELD);
-        }
+        std::thread::sleep(OFTEN);
+    }
+}
+
+/// Ends what nobody holds any more, until the server ends: on a thread of its own, as a look waits for devices.
+pub(crate) fn keep_ending(app: &Arc<App>) {
+    while !app.ends.load(Ordering::SeqCst) {
+        app.desk.end_stale_jog();
+        std::thread::sleep(HELD);
     }
 }

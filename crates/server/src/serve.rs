@@ -263,13 +263,18 @@ fn app(
 
 /// The threads that wait for devices.
 fn spawn(app: &Arc<App>) -> io::Result<Vec<JoinHandle<()>>> {
-    let look = std::thread::Builder::new().name("standing".into());
-    let show = std::thread::Builder::new().name("live".into());
-    let (a, b) = (app.clone(), app.clone());
-    Ok(vec![
-        look.spawn(move || look::keep_looking(&a))?,
-        show.spawn(move || grabbing::run(&b))?,
-    ])
+    type Run = fn(&Arc<App>);
+    let threads: [(&str, Run); 3] = [
+        ("standing", look::keep_looking),
+        ("held", look::keep_ending),
+        ("live", grabbing::run),
+    ];
+    let begun = threads.into_iter().map(|(name, run)| {
+        let app = app.clone();
+        let thread = std::thread::Builder::new().name(name.into());
+        thread.spawn(move || run(&app))
+    });
+    begun.collect()
 }
 
 /// Takes connections as they come, so many at once.
