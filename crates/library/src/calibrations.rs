@@ -116,13 +116,13 @@ pub trait Calibrations {
 }
 
 impl Folder {
-    fn calibrations_of(&self, id: &ObjectiveId) -> PathBuf {
+    pub(crate) fn calibrations_of(&self, id: &ObjectiveId) -> PathBuf {
         self.path().join("calibrations").join(file_name(&id.0))
     }
 }
 
 /// The files of one objective, numbered in the order in which they were made, whatever a clock said.
-fn in_order(folder: &Path) -> Result<Vec<PathBuf>, LibraryError> {
+pub(crate) fn in_order(folder: &Path) -> Result<Vec<PathBuf>, LibraryError> {
     let mut files = entries(folder)?;
     files.retain(|p| is_json(p));
     files.sort_by_key(|p| (number_of(p), p.clone()));
@@ -130,23 +130,24 @@ fn in_order(folder: &Path) -> Result<Vec<PathBuf>, LibraryError> {
 }
 
 /// Without an instrument nobody knows what is engraved: what is impossible of any objective is damaged.
-fn kept_in(path: PathBuf) -> CalibrationFile {
-    let kept = read(&path).and_then(
-        |kept: KeptCalibration| match kept.calibration.impossible() {
-            None => Ok(kept),
-            Some(what) => Err(LibraryError::damaged(&path, what)),
-        },
-    );
+pub(crate) fn kept_in(
+    path: PathBuf,
+    kept: Result<KeptCalibration, LibraryError>,
+) -> CalibrationFile {
+    let kept = kept.and_then(|kept| match kept.calibration.impossible() {
+        None => Ok(kept),
+        Some(what) => Err(LibraryError::damaged(&path, what)),
+    });
     CalibrationFile { path, kept }
 }
 
 /// What a file holds, where that can be a calibration of this objective; else what is wrong with it.
-fn judged(
-    path: &Path,
+pub(crate) fn judged(
+    kept: Result<KeptCalibration, LibraryError>,
     objective: &Objective,
     ranges: &[AxisRange],
 ) -> Result<KeptCalibration, String> {
-    let kept: KeptCalibration = read(path).map_err(|error| match error {
+    let kept = kept.map_err(|error| match error {
         LibraryError::Read { what, .. } => what,
         LibraryError::Damaged { what, .. } => what,
         error => error.to_string(),
@@ -155,27 +156,54 @@ fn judged(
     Ok(kept)
 }
 
+/// The newest of files that can be a calibration of this objective, of which the last is the newest; an error tells which could be used instead.
+pub(crate) fn newest(
+    mut files: Vec<PathBuf>,
+    open: impl Fn(&Path) -> Result<KeptCalibration, LibraryError>,
+    objective: &Objective,
+    ranges: &[AxisRange],
+) -> Result<Option<KeptCalibration>, LibraryError> {
+    let Some(path) = files.pop() else {
+        return Ok(None);
+    };
+    let what = match judged(open(&path), objective, ranges) {
+        Ok(kept) => return Ok(Some(kept)),
+        Err(what) => what,
+    };
+    let is_sound = |path: &PathBuf| judged(open(path), objective, ranges).is_ok();
+    Err(LibraryError::DamagedCalibration {
+        path,
+        what,
+        objective: objective.id.0.clone(),
+        before: files.into_iter().rev().find(is_sound),
+    })
+}
+
+/// A calibration from now on.
+pub(crate) fn kept_now(
+    instrument: &str,
+    calibration: &Calibration,
+    focus_z: Option<Length>,
+    residual_px: Option<f64>,
+) -> KeptCalibration {
+    KeptCalibration {
+        schema: SCHEMA,
+        made: utc(SystemTime::now()),
+        instrument: instrument.into(),
+        calibration: calibration.clone(),
+        focus_z_um: focus_z.map(Length::um),
+        residual_px,
+    }
+}
+
 impl Calibrations for Folder {
     fn calibration(
         &self,
         objective: &Objective,
         ranges: &[AxisRange],
     ) -> Result<Option<KeptCalibration>, LibraryError> {
-        let mut files = in_order(&self.calibrations_of(&objective.id))?;
-        let Some(path) = files.pop() else {
-            return Ok(None);
-        };
-        let what = match judged(&path, objective, ranges) {
-            Ok(kept) => return Ok(Some(kept)),
-            Err(what) => what,
-        };
-        let is_sound = |path: &PathBuf| judged(path, objective, ranges).is_ok();
-        Err(LibraryError::DamagedCalibration {
-            path,
-            what,
-            objective: objective.id.0.clone(),
-            before: files.into_iter().rev().find(is_sound),
-        })
+        let files = in_order(&self.calibrations_of(&objective.id))?;
+        newest(files, read, objective, ranges)
     }
 
     fn calibration_path(&self, objective: &ObjectiveId) -> Result<Option<PathBuf>, LibraryError> {
@@ -186,7 +214,8 @@ impl Calibrations for Folder {
         let folders = entries(&self.path().join("calibrations"))?.into_iter();
         let folders = folders.filter(|p| p.is_dir());
         let of = |folder: PathBuf| -> Result<Vec<CalibrationFile>, LibraryError> {
-            Ok(in_order(&folder)?.into_iter().map(kept_in).collect())
+            let files = in_order(&folder)?.into_iter();
+            Ok(files.map(|p| kept_in(p.clone(), read(&p))).collect())
         };
         let all: Vec<_> = folders.map(of).collect::<Result<_, _>>()?;
         Ok(all.into_iter().filter(|files| !files.is_empty()).collect())
@@ -207,17 +236,8 @@ impl Calibrations for Folder {
     ) -> Result<PathBuf, LibraryError> {
         let folder = self.calibrations_of(&calibration.objective);
         make_folder(&folder).map_err(LibraryError::not_kept(&folder))?;
-        let made = utc(SystemTime::now());
-        let kept = KeptCalibration {
-            schema: SCHEMA,
-            made: made.clone(),
-            instrument: instrument.into(),
-            calibration: calibration.clone(),
-            focus_z_um: focus_z.map(Length::um),
-            residual_px,
-        };
-        let bytes = to_json(&kept)?;
-        write_numbered(&folder, &made, &bytes)
+        let kept = kept_now(instrument, calibration, focus_z, residual_px);
+        write_numbered(&folder, &kept.made, &to_json(&kept)?)
     }
 }
 

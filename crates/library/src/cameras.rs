@@ -34,7 +34,7 @@ pub trait Cameras {
 }
 
 impl Folder {
-    fn shadows_of(&self, instrument: &str, [width, height]: [usize; 2]) -> PathBuf {
+    pub(crate) fn shadows_of(&self, instrument: &str, [width, height]: [usize; 2]) -> PathBuf {
         let name = format!("{}-{width}x{height}.png", file_name(instrument));
         self.path().join("cameras").join(name)
     }

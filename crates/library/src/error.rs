@@ -13,21 +13,21 @@ pub enum LibraryError {
     BadName(String),
     /// There is one of that name, and nothing is overwritten.
     #[error(
-        "there is a target '{name}' already ({file}), and none is overwritten: give another name, or move its files away"
+        "there is a target '{name}' already, and none is overwritten: give another name, or rename or remove that one"
     )]
     Taken {
         /// The name.
         name: String,
-        /// Its file.
-        file: PathBuf,
     },
     /// There is none of that name.
-    #[error("there is no target '{name}'; {}", known_names(known))]
+    #[error("there is no target '{name}'; {}", known_names(known, *more))]
     NoTarget {
         /// The name.
         name: String,
-        /// Those that there are.
+        /// Those that there are, or the newest of them.
         known: Vec<String>,
+        /// How many more there are.
+        more: usize,
     },
     /// A folder takes no files. Found before anything was done for them.
     #[error(
@@ -75,6 +75,48 @@ pub enum LibraryError {
         /// The newest of the older ones that can be used.
         before: Option<PathBuf>,
     },
+    /// Another program writes for longer than anybody waits.
+    #[error(
+        "another program has been writing to {path} for some seconds. Try again when it is done"
+    )]
+    Busy {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A database of a later version of this program.
+    #[error(
+        "{path} has version {version}, and this program reads up to {known}: a newer scopeservo made it. Use that one"
+    )]
+    Newer {
+        /// The file.
+        path: PathBuf,
+        /// Its version.
+        version: i32,
+        /// The newest that this program knows.
+        known: usize,
+    },
+    /// A database that two programs could damage.
+    #[error(
+        "{path} lies on a network drive ({kind}), where locks do not hold and a library can be damaged: name a data_folder on a disk of this computer in the description of the instrument, and bring copies to the drive with scopeservo library backup"
+    )]
+    NetworkDrive {
+        /// The folder.
+        path: PathBuf,
+        /// What drive.
+        kind: String,
+    },
+    /// None of that name lies in the bin.
+    #[error("no target '{name}' lies in the bin: scopeservo target bin tells which do")]
+    NotInBin {
+        /// The name.
+        name: String,
+    },
+    /// There is no run of that name.
+    #[error("there is no run '{id}': scopeservo run list tells which there are")]
+    NoRun {
+        /// What was asked for.
+        id: String,
+    },
     /// What was under way when a program was killed cannot be read.
     #[error("what was under way when a program ended cannot be read ({path}): {what}")]
     DamagedJournal {
@@ -88,10 +130,11 @@ pub enum LibraryError {
     Encode(String),
 }
 
-fn known_names(known: &[String]) -> String {
-    match known.is_empty() {
-        true => "none is saved yet".into(),
-        false => format!("there are {}", known.join(", ")),
+fn known_names(known: &[String], more: usize) -> String {
+    match (known.is_empty(), more) {
+        (true, _) => "none is saved yet".into(),
+        (false, 0) => format!("there are {}", known.join(", ")),
+        (false, more) => format!("there are {} and {more} more", known.join(", ")),
     }
 }
 

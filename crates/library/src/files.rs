@@ -15,8 +15,8 @@ const PREFIX: &str = ".scopeservo-";
 const RANDOM: usize = 6;
 /// A temporary file is younger than this, or is locked, while somebody works at it.
 const ABANDONED: Duration = Duration::from_secs(60);
-/// What a trial writes: too much for a file system to keep within the folder itself.
-const TRIAL: [u8; 1024] = [0; 1024];
+/// What a trial writes: as much as a view and its run take.
+const TRIAL: [u8; 4 << 20] = [0; 4 << 20];
 
 /// Writes a file, and never over another: `false` when there is one of that name.
 ///
@@ -70,7 +70,8 @@ pub fn make_folder(folder: &Path) -> io::Result<()> {
 /// What the system says.
 pub fn try_folder(folder: &Path) -> io::Result<()> {
     let nearest = folder.ancestors().find(|f| is_there(f));
-    temporary(nearest.unwrap_or(Path::new(".")), &TRIAL).map(drop)
+    // It need not reach the disk: a full one says so before.
+    begun(nearest.unwrap_or(Path::new(".")), &TRIAL).map(drop)
 }
 
 /// Keeps other programs away from a folder for as long as the answer lives. `None` where the file system knows no locks.
@@ -104,6 +105,13 @@ fn beside(path: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
 }
 
 fn temporary(folder: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
+    let file = begun(folder, bytes)?;
+    file.as_file().sync_all()?;
+    Ok(file)
+}
+
+/// A file under another name, locked.
+fn begun(folder: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).rand_bytes(RANDOM);
     // For whoever may read the folder, as other files are.
@@ -119,7 +127,6 @@ fn temporary(folder: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
     // Where there are no locks its age has to do.
     let _ = file.as_file().lock();
     file.as_file_mut().write_all(bytes)?;
-    file.as_file().sync_all()?;
     Ok(file)
 }
 

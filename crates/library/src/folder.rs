@@ -64,20 +64,25 @@ pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, LibraryError> {
 const LARGEST_JSON: u64 = 256 << 20;
 
 pub(crate) fn read<T: DeserializeOwned>(path: &Path) -> Result<T, LibraryError> {
-    let bad = |what: String| LibraryError::Read {
+    let text = scopeservo_files::read(path, LARGEST_JSON).map_err(|e| LibraryError::Read {
         path: path.into(),
-        what,
-    };
+        what: e.to_string(),
+    })?;
+    parse(path, &text)
+}
+
+/// What the JSON of a file says.
+pub(crate) fn parse<T: DeserializeOwned>(path: &Path, text: &[u8]) -> Result<T, LibraryError> {
     let damaged = |e: serde_json::Error| LibraryError::Damaged {
         path: path.into(),
         what: format!("{e}. Move it away, or make it again"),
     };
-    let text = scopeservo_files::read(path, LARGEST_JSON).map_err(|e| bad(e.to_string()))?;
-    let value: serde_json::Value = serde_json::from_slice(&text).map_err(damaged)?;
+    let value: serde_json::Value = serde_json::from_slice(text).map_err(damaged)?;
     match value.get("schema") {
-        Some(schema) if schema != SCHEMA => Err(bad(format!(
-            "it has schema {schema}, and this version reads {SCHEMA}"
-        ))),
+        Some(schema) if schema != SCHEMA => Err(LibraryError::Read {
+            path: path.into(),
+            what: format!("it has schema {schema}, and this version reads {SCHEMA}"),
+        }),
         _ => serde_json::from_value(value).map_err(damaged),
     }
 }

@@ -1,13 +1,14 @@
 //! What is kept: targets, calibrations, the shadows on cameras, what every run did, and the journal of the one under way.
 //!
-//! Each is a trait, and a [`Library`] is all of them; [`Folder`] keeps them as files. Nothing is overwritten but what has one place: the
-//! newest shadows of a camera and the journal. A file is there whole or not at all ([`files`]), and what is damaged is told, and does not
-//! keep the rest away.
+//! Each is a trait. [`Database`] keeps all of them but the journal: rows in SQLite, and beside it what is large, in files that are called by
+//! their checksums. [`Folder`] keeps journals, and is what earlier versions kept and what [`Database::export`] writes: plain files. Nothing is
+//! overwritten but the journal. A file is there whole or not at all ([`files`]), and what is damaged is told, and does not keep the rest away.
 
 #![warn(clippy::too_many_lines)]
 
 mod calibrations;
 mod cameras;
+mod database;
 mod error;
 pub mod files;
 mod folder;
@@ -21,6 +22,10 @@ mod targets;
 
 pub use calibrations::{CalibrationFile, Calibrations, KeptCalibration};
 pub use cameras::Cameras;
+pub use database::{
+    BackedUp, Checked, Database, Exported, FRAMES_BYTES, Fault, Purged, Rebuilt, RunQuery, RunRow,
+    SlideRow, TargetQuery, TargetRow, restore,
+};
 pub use error::LibraryError;
 pub use folder::Folder;
 pub use journal::{Journal, JournalHead, JournalStep, Journalled};
@@ -29,16 +34,4 @@ pub use nosepieces::{KeptSwitching, Nosepieces};
 pub use runs::{RunHead, RunLog, Runs};
 pub use sets::{CalibrationSets, KeptSet};
 pub use target_file::{KeptTarget, png_of};
-pub use targets::Targets;
-
-/// Everything that is kept of an instrument.
-pub trait Library:
-    Calibrations + CalibrationSets + Cameras + Nosepieces + Targets + Runs + Journal + Send + Sync
-{
-}
-
-impl<
-    T: Calibrations + CalibrationSets + Cameras + Nosepieces + Targets + Runs + Journal + Send + Sync,
-> Library for T
-{
-}
+pub use targets::{Label, NewTarget, Targets};

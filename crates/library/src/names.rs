@@ -20,6 +20,31 @@ fn is_device(name: &str) -> bool {
     DEVICES.contains(&stem.as_str()) || port(&stem)
 }
 
+/// Refuses a name that no target can have.
+pub(crate) fn plain_name(name: &str) -> Result<(), LibraryError> {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+    if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
+        return Err(LibraryError::BadName(format!(
+            "'{name}' is no name for a target: use letters, digits, '-', '_' and '.', like mitosis-3"
+        )));
+    }
+    Ok(())
+}
+
+/// No slide has a longer name, characters.
+const LONGEST_SLIDE: usize = 200;
+
+/// Refuses a name that nobody could read on a slide.
+pub(crate) fn check_slide(name: &str) -> Result<(), LibraryError> {
+    let fits = (1..=LONGEST_SLIDE).contains(&name.chars().count());
+    match fits && name.trim() == name && !name.chars().any(char::is_control) {
+        true => Ok(()),
+        false => Err(LibraryError::BadName(format!(
+            "{name:?} is no name for a slide: use up to {LONGEST_SLIDE} characters on one line, without blanks at its ends, like 17-B"
+        ))),
+    }
+}
+
 /// Refuses a name under which a target could not be found again: on another system, or by a command line.
 pub(crate) fn check_name(name: &str) -> Result<(), LibraryError> {
     let why = if name.len() > LONGEST_NAME {
@@ -74,6 +99,11 @@ pub(crate) fn file_name(name: &str) -> String {
         }
         false => whole,
     }
+}
+
+/// The name whose file is called so, where that can be told: a number in it may end anywhere.
+pub(crate) fn name_of(file: &str) -> Option<String> {
+    (!file.is_empty() && !file.contains('%')).then(|| file.into())
 }
 
 /// A moment in UTC, to the second: 2026-11-24T20:15:00Z.

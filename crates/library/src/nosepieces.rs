@@ -6,7 +6,7 @@ use crate::folder::{Folder, SCHEMA, entries, is_json, read, to_json, write_numbe
 use crate::names::{file_name, number_of, utc};
 use scopeservo_servo::SwitchingReport;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 /// A report as it is kept.
@@ -44,8 +44,39 @@ pub trait Nosepieces {
     ) -> Result<PathBuf, LibraryError>;
 }
 
+impl KeptSwitching {
+    /// It, where it can be one of a nosepiece.
+    pub(crate) fn sound(path: &Path, kept: Self) -> Result<Self, LibraryError> {
+        match kept.switching.is_possible() {
+            true => Ok(kept),
+            false => Err(LibraryError::damaged(
+                path,
+                "its numbers cannot be those of a nosepiece",
+            )),
+        }
+    }
+}
+
+/// The newest of each two objectives, and all that are damaged, of reports of which the last is the newest.
+pub(crate) fn newest_of_each(
+    all: impl Iterator<Item = Result<KeptSwitching, LibraryError>>,
+) -> Vec<Result<KeptSwitching, LibraryError>> {
+    let mut newest: Vec<Result<KeptSwitching, LibraryError>> = Vec::new();
+    for kept in all {
+        if let Ok(kept) = &kept {
+            let pair = |k: &KeptSwitching| (k.switching.from.clone(), k.switching.to.clone());
+            let is_newer = |old: &Result<KeptSwitching, LibraryError>| {
+                old.as_ref().is_ok_and(|old| pair(old) == pair(kept))
+            };
+            newest.retain(|old| !is_newer(old));
+        }
+        newest.push(kept);
+    }
+    newest
+}
+
 impl Folder {
-    fn switchings_of(&self, instrument: &str) -> PathBuf {
+    pub(crate) fn switchings_of(&self, instrument: &str) -> PathBuf {
         self.path().join("nosepieces").join(file_name(instrument))
     }
 }
@@ -58,26 +89,10 @@ impl Nosepieces for Folder {
         let mut files = entries(&self.switchings_of(instrument))?;
         files.retain(|p| is_json(p));
         files.sort_by_key(|p| (number_of(p), p.clone()));
-        let mut newest: Vec<Result<KeptSwitching, LibraryError>> = Vec::new();
-        for path in files {
-            let kept =
-                read::<KeptSwitching>(&path).and_then(|kept| match kept.switching.is_possible() {
-                    true => Ok(kept),
-                    false => Err(LibraryError::damaged(
-                        &path,
-                        "its numbers cannot be those of a nosepiece",
-                    )),
-                });
-            if let Ok(kept) = &kept {
-                let pair = |k: &KeptSwitching| (k.switching.from.clone(), k.switching.to.clone());
-                let is_newer = |old: &Result<KeptSwitching, LibraryError>| {
-                    old.as_ref().is_ok_and(|old| pair(old) == pair(kept))
-                };
-                newest.retain(|old| !is_newer(old));
-            }
-            newest.push(kept);
-        }
-        Ok(newest)
+        let all = files.iter();
+        Ok(newest_of_each(all.map(|path| {
+            read(path).and_then(|kept| KeptSwitching::sound(path, kept))
+        })))
     }
 
     fn keep_switching(

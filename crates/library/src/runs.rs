@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::fs::{self, File};
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::SystemTime;
 
 /// What a run was asked.
@@ -24,12 +24,18 @@ pub struct RunHead {
     pub inputs: Value,
 }
 
-#[derive(Serialize)]
-struct Kept<'a> {
-    schema: u32,
-    began: &'a str,
+/// A run's name: its number, when it began and what it is.
+pub(crate) fn run_name(number: u64, began: &str, job: &str) -> String {
+    format!("{number:06}_{}_{}", began.replace(':', "-"), file_name(job))
+}
+
+/// What a run was asked, in its folder.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct KeptRun {
+    pub(crate) schema: u32,
+    pub(crate) began: String,
     #[serde(flatten)]
-    head: &'a RunHead,
+    pub(crate) head: RunHead,
 }
 
 /// The runs of a library.
@@ -39,18 +45,12 @@ pub trait Runs {
     /// # Errors
     /// [`LibraryError::NotKept`].
     fn begin_run(&self, head: &RunHead) -> Result<Box<dyn RunLog>, LibraryError>;
-
-    /// Where the runs lie, the oldest first.
-    ///
-    /// # Errors
-    /// [`LibraryError::Read`].
-    fn runs(&self) -> Result<Vec<PathBuf>, LibraryError>;
 }
 
 /// The record of one run.
 pub trait RunLog: Send {
-    /// Where it lies.
-    fn place(&self) -> &Path;
+    /// By what it is asked for later, as 000012_2026-11-24T20-15-00Z_reposition.
+    fn id(&self) -> &str;
 
     /// Adds an event, as JSON on one line. What cannot be written is told at the end, and keeps nothing up.
     fn event(&mut self, line: &str);
@@ -69,14 +69,23 @@ pub trait RunLog: Send {
 }
 
 struct Record {
+    id: String,
     folder: PathBuf,
     events: File,
     lost: Option<LibraryError>,
 }
 
 impl Folder {
-    fn run_folder(&self) -> PathBuf {
+    pub(crate) fn run_folder(&self) -> PathBuf {
         self.path().join("runs")
+    }
+
+    /// Where the runs lie, the oldest first.
+    pub(crate) fn runs(&self) -> Result<Vec<PathBuf>, LibraryError> {
+        let all = entries(&self.run_folder())?.into_iter();
+        let mut all: Vec<PathBuf> = all.filter(|p| p.is_dir()).collect();
+        all.sort_by_key(|p| (number_of(p), p.clone()));
+        Ok(all)
     }
 }
 
@@ -85,13 +94,12 @@ impl Runs for Folder {
         let runs = self.run_folder();
         make_folder(&runs).map_err(LibraryError::not_kept(&runs))?;
         let began = utc(SystemTime::now());
-        let name = format!("{}_{}", began.replace(':', "-"), file_name(&head.job));
         let folder = loop {
             let last = self.runs()?.iter().map(|p| number_of(p)).max();
             let number = next_number(last)
                 .ok_or_else(|| no_number(&runs))
                 .map_err(LibraryError::not_kept(&runs))?;
-            let folder = runs.join(format!("{number:06}_{name}"));
+            let folder = runs.join(run_name(number, &began, &head.job));
             // Another program may begin one at the same time: whichever comes second takes the next number.
             match fs::create_dir(&folder) {
                 Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {}
@@ -101,33 +109,28 @@ impl Runs for Folder {
                 }
             }
         };
-        let kept = Kept {
+        let kept = KeptRun {
             schema: SCHEMA,
-            began: &began,
-            head,
+            began,
+            head: head.clone(),
         };
         let file = folder.join("run.json");
         files::replace(&file, &to_json(&kept)?).map_err(LibraryError::not_kept(&file))?;
         let events = folder.join("events.jsonl");
         let events = File::create_new(&events).map_err(LibraryError::not_kept(&events))?;
+        let id = folder.file_name().unwrap_or_default();
         Ok(Box::new(Record {
+            id: id.to_string_lossy().into_owned(),
             folder,
             events,
             lost: None,
         }))
     }
-
-    fn runs(&self) -> Result<Vec<PathBuf>, LibraryError> {
-        let all = entries(&self.run_folder())?.into_iter();
-        let mut all: Vec<PathBuf> = all.filter(|p| p.is_dir()).collect();
-        all.sort_by_key(|p| (number_of(p), p.clone()));
-        Ok(all)
-    }
 }
 
 impl RunLog for Record {
-    fn place(&self) -> &Path {
-        &self.folder
+    fn id(&self) -> &str {
+        &self.id
     }
 
     fn event(&mut self, line: &str) {

@@ -7,7 +7,7 @@ use crate::folder::{Folder, SCHEMA, entries, is_json, read, to_json, write_numbe
 use crate::names::{file_name, number_of, utc};
 use scopeservo_servo::CalibrationSet;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 /// A set as it is kept.
@@ -42,8 +42,21 @@ pub trait CalibrationSets {
     ) -> Result<PathBuf, LibraryError>;
 }
 
+impl KeptSet {
+    /// It, where it can be one of a microscope.
+    pub(crate) fn sound(path: &Path, kept: Self) -> Result<Self, LibraryError> {
+        match kept.set.is_possible() {
+            true => Ok(kept),
+            false => Err(LibraryError::damaged(
+                path,
+                "its numbers cannot be those of a microscope",
+            )),
+        }
+    }
+}
+
 impl Folder {
-    fn sets_of(&self, instrument: &str) -> PathBuf {
+    pub(crate) fn sets_of(&self, instrument: &str) -> PathBuf {
         self.path()
             .join("calibration-sets")
             .join(file_name(instrument))
@@ -58,14 +71,7 @@ impl CalibrationSets for Folder {
         let Some(path) = files.pop() else {
             return Ok(None);
         };
-        let kept: KeptSet = read(&path)?;
-        match kept.set.is_possible() {
-            true => Ok(Some(kept)),
-            false => Err(LibraryError::damaged(
-                &path,
-                "its numbers cannot be those of a microscope",
-            )),
-        }
+        KeptSet::sound(&path, read(&path)?).map(Some)
     }
 
     fn keep_calibration_set(

@@ -50,6 +50,9 @@ const LARGEST: u64 = 1 << 28;
 #[derive(Debug, Serialize, Deserialize)]
 struct Head {
     schema: u32,
+    /// What it was called first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    name: Option<String>,
     saved: String,
     instrument: String,
     objective: ObjectiveId,
@@ -86,12 +89,16 @@ struct HowTaken {
     sequence: u64,
 }
 
-/// The bytes of a target's file, and the target's id.
-pub(crate) fn encode(kept: &KeptTarget) -> Result<(Vec<u8>, String), LibraryError> {
+/// The bytes of a target's file, and the target's id. The name is for who has nothing but the file.
+pub(crate) fn encode(
+    kept: &KeptTarget,
+    name: Option<&str>,
+) -> Result<(Vec<u8>, String), LibraryError> {
     let target = &kept.target;
     let taken = target.taken.as_deref();
     let head = Head {
         schema: TARGET_SCHEMA,
+        name: name.map(Into::into),
         saved: kept.saved.clone(),
         instrument: kept.instrument.clone(),
         objective: target.objective.clone(),
@@ -192,6 +199,13 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<KeptTarget, String> {
             taken: taken.map(Arc::new),
         },
     })
+}
+
+/// What a target was called first, where its file says so.
+pub(crate) fn first_name(bytes: &[u8]) -> Option<String> {
+    let members = members(bytes).ok()?;
+    let head: serde_json::Value = serde_json::from_slice(members.get("target.json")?).ok()?;
+    Some(head["name"].as_str()?.to_owned())
 }
 
 /// The mask over an image of this size.
@@ -391,7 +405,7 @@ mod tests {
         for bit_depth in [8, 10, 12, 16] {
             for channels in [Channels::Gray, Channels::Rgb] {
                 let kept = kept(bit_depth, channels);
-                let (bytes, id) = encode(&kept).unwrap();
+                let (bytes, id) = encode(&kept, Some("spot")).unwrap();
                 let back = decode(&bytes).unwrap();
                 assert_eq!(back.id, id);
                 assert_eq!(
@@ -408,7 +422,7 @@ mod tests {
     #[test]
     fn any_byte_that_was_lost_or_changed_is_noticed_or_does_not_matter() {
         let kept = kept(8, Channels::Gray);
-        let (bytes, _) = encode(&kept).unwrap();
+        let (bytes, _) = encode(&kept, Some("spot")).unwrap();
         let differs = |damaged: &[u8]| match decode(damaged) {
             Err(_) => false,
             Ok(back) => {

@@ -2,23 +2,66 @@
 //! people.
 
 use crate::files::{self, is_there, make_folder, write_new};
-use crate::folder::{Folder, entries, is_json, read, to_png};
-use crate::names::{check_name, utc};
+use crate::folder::{Folder, entries, is_json, parse, read, to_json, to_png};
+use crate::names::{check_name, plain_name, utc};
 use crate::{KeptTarget, LibraryError, target_file};
 use image::ExtendedColorType;
 use scopeservo_scope::{Channels, Frame, Samples, StagePose, Timestamp};
 use scopeservo_servo::Target;
 use scopeservo_slide::Slide;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 /// How a target's file ends.
-const ENDING: &str = "target";
+pub(crate) const ENDING: &str = "target";
 
 /// Where those lie that were taken out.
-const REMOVED: &str = "removed";
+pub(crate) const REMOVED: &str = "removed";
+
+/// How the file with what is said of a target ends.
+pub(crate) const LABEL: &str = "label";
+
+/// What is said of a target: nothing that it is found by.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Label {
+    /// The slide that it is on.
+    pub slide: Option<String>,
+    /// What somebody noted.
+    pub note: String,
+}
+
+/// A target that is to be kept.
+#[derive(Debug)]
+pub struct NewTarget<'a> {
+    /// The name that it gets.
+    pub name: &'a str,
+    /// The instrument's name.
+    pub instrument: &'a str,
+    /// Where the stage was.
+    pub stage: StagePose,
+    /// The target.
+    pub target: Target,
+    /// Its image for people.
+    pub frame: &'a Frame,
+    /// What is said of it.
+    pub label: &'a Label,
+}
+
+impl NewTarget<'_> {
+    /// As it is kept, from now on.
+    pub(crate) fn kept(self) -> KeptTarget {
+        KeptTarget {
+            id: String::new(),
+            saved: utc(SystemTime::now()),
+            instrument: self.instrument.into(),
+            stage: self.stage,
+            target: self.target,
+        }
+    }
+}
 
 /// Schema 1: JSON, the features and a grey image in it.
 #[derive(Deserialize)]
@@ -43,7 +86,7 @@ pub trait Targets {
     /// [`LibraryError::NoTarget`], [`LibraryError::Damaged`], [`LibraryError::Read`], [`LibraryError::BadName`].
     fn target(&self, name: &str) -> Result<KeptTarget, LibraryError>;
 
-    /// Where a saved target lies.
+    /// Where a saved target's file lies.
     ///
     /// # Errors
     /// [`LibraryError::NoTarget`], [`LibraryError::BadName`].
@@ -51,6 +94,18 @@ pub trait Targets {
 
     /// The image of a saved target, for people; a target is found again without it.
     fn target_picture(&self, name: &str) -> Option<Frame>;
+
+    /// What is said of a saved target.
+    ///
+    /// # Errors
+    /// [`LibraryError::NoTarget`], [`LibraryError::BadName`], [`LibraryError::Read`], [`LibraryError::Damaged`].
+    fn target_label(&self, name: &str) -> Result<Label, LibraryError>;
+
+    /// Says something else of a saved target.
+    ///
+    /// # Errors
+    /// [`LibraryError::NoTarget`], [`LibraryError::BadName`], [`LibraryError::NotKept`].
+    fn label_target(&self, name: &str, label: &Label) -> Result<(), LibraryError>;
 
     /// Whether targets could be kept, before anything is done for one.
     ///
@@ -68,14 +123,7 @@ pub trait Targets {
     ///
     /// # Errors
     /// [`LibraryError::Taken`], [`LibraryError::BadName`], [`LibraryError::NotKept`].
-    fn keep_target(
-        &self,
-        name: &str,
-        instrument: &str,
-        stage: StagePose,
-        target: Target,
-        frame: &Frame,
-    ) -> Result<PathBuf, LibraryError>;
+    fn keep_target(&self, new: NewTarget<'_>) -> Result<PathBuf, LibraryError>;
 
     /// Gives a target another name. Whenever a program is killed meanwhile it is there under one of the two, or under both.
     ///
@@ -84,7 +132,7 @@ pub trait Targets {
     /// damaged one keeps its name, so that what is left of it is not lost track of.
     fn rename_target(&self, name: &str, to: &str) -> Result<PathBuf, LibraryError>;
 
-    /// Takes a target out of the library: it lies in a folder beside the others, from which it can be taken in again. Returns where.
+    /// Puts a target into the bin, from which it can be taken back. Returns where its file lies.
     ///
     /// # Errors
     /// [`LibraryError::NoTarget`], [`LibraryError::BadName`], [`LibraryError::NotKept`].
@@ -104,19 +152,29 @@ pub trait Targets {
 }
 
 impl Folder {
-    fn targets(&self) -> PathBuf {
+    pub(crate) fn targets(&self) -> PathBuf {
         self.path().join("targets")
     }
 
     /// The file that makes a target exist. Its image lies beside it.
-    fn target_file(&self, name: &str) -> Result<PathBuf, LibraryError> {
-        let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-        if name.is_empty() || name.starts_with('.') || !name.chars().all(plain) {
-            return Err(LibraryError::BadName(format!(
-                "'{name}' is no name for a target: use letters, digits, '-', '_' and '.', like mitosis-3"
-            )));
-        }
+    pub(crate) fn target_file(&self, name: &str) -> Result<PathBuf, LibraryError> {
+        plain_name(name)?;
         Ok(self.targets().join(format!("{name}.{ENDING}")))
+    }
+
+    pub(crate) fn label_file(&self, name: &str) -> PathBuf {
+        self.targets().join(format!("{name}.{LABEL}"))
+    }
+
+    /// Writes what is said of a target; nothing where nothing is.
+    pub(crate) fn put_label(&self, name: &str, label: &Label) -> Result<(), LibraryError> {
+        let path = self.label_file(name);
+        let written = match label == &Label::default() {
+            true if is_there(&path) => fs::remove_file(&path),
+            true => Ok(()),
+            false => files::replace(&path, &to_json(label)?),
+        };
+        written.map_err(LibraryError::not_kept(&path))
     }
 
     /// Writes the image, then the file that makes the target exist.
@@ -125,22 +183,24 @@ impl Folder {
         name: &str,
         bytes: &[u8],
         frame: Option<&Frame>,
+        label: &Label,
     ) -> Result<PathBuf, LibraryError> {
         let path = self.target_file(name)?;
         let picture = self.targets().join(format!("{name}.png"));
         make_folder(&self.targets()).map_err(LibraryError::not_kept(&self.targets()))?;
         // Another program may save one of that name at the same time: the image must be that of whichever comes first.
         let _lock = files::lock(&self.targets());
-        if let Some(file) = self.existing(name)? {
-            return Err(taken(name, file));
+        if self.existing(name)?.is_some() {
+            return Err(taken(name));
         }
+        self.put_label(name, label)?;
         // An image alone is what a killed program left. The file that makes the target exist comes last.
         if let Some(frame) = frame {
             files::replace(&picture, &png(frame)?).map_err(LibraryError::not_kept(&picture))?;
         }
         match write_new(&path, bytes) {
             Ok(true) => Ok(path),
-            Ok(false) => Err(taken(name, path)),
+            Ok(false) => Err(taken(name)),
             Err(error) => {
                 // Of no use alone. It is no obstacle either, should it stay.
                 let _ = fs::remove_file(&picture);
@@ -179,28 +239,29 @@ impl Targets for Folder {
             None => Err(LibraryError::NoTarget {
                 name: name.into(),
                 known: self.target_names()?,
+                more: 0,
             }),
         }
     }
 
     fn target_picture(&self, name: &str) -> Option<Frame> {
         self.target_file(name).ok()?;
-        let path = self.targets().join(format!("{name}.png"));
-        let slide = Slide::open(&path).ok()?;
-        let size = slide.levels()[0];
-        let picture = slide
-            .read_rgb8(0, 0, 0, size.width, size.height, [255; 3])
-            .ok()?;
-        Some(Frame {
-            width: picture.width as usize,
-            height: picture.height as usize,
-            channels: Channels::Rgb,
-            bit_depth: 8,
-            samples: Samples::U8(picture.data),
-            sequence: 0,
-            exposure_start: Timestamp::default(),
-            exposure: Duration::ZERO,
-        })
+        picture_of(&self.targets().join(format!("{name}.png")))
+    }
+
+    fn target_label(&self, name: &str) -> Result<Label, LibraryError> {
+        self.target_path(name)?;
+        let path = self.label_file(name);
+        match is_there(&path) {
+            true => read(&path),
+            false => Ok(Label::default()),
+        }
+    }
+
+    fn label_target(&self, name: &str, label: &Label) -> Result<(), LibraryError> {
+        self.target_path(name)?;
+        let _lock = files::lock(&self.targets());
+        self.put_label(name, label)
     }
 
     fn try_targets(&self) -> Result<(), LibraryError> {
@@ -214,37 +275,21 @@ impl Targets for Folder {
         // A target must be found again where a file system is blind to case.
         let mut known = self.target_names()?.into_iter();
         match known.find(|known| known.eq_ignore_ascii_case(name)) {
-            Some(known) => {
-                let file = self.existing(&known)?.unwrap_or_default();
-                Err(taken(&known, file))
-            }
+            Some(known) => Err(taken(&known)),
             None => Ok(()),
         }
     }
 
-    fn keep_target(
-        &self,
-        name: &str,
-        instrument: &str,
-        stage: StagePose,
-        target: Target,
-        frame: &Frame,
-    ) -> Result<PathBuf, LibraryError> {
-        let kept = KeptTarget {
-            id: String::new(),
-            saved: utc(SystemTime::now()),
-            instrument: instrument.into(),
-            stage,
-            target,
-        };
-        let (bytes, _) = target_file::encode(&kept)?;
-        self.keep(name, &bytes, Some(frame))
+    fn keep_target(&self, new: NewTarget<'_>) -> Result<PathBuf, LibraryError> {
+        let (name, frame, label) = (new.name, new.frame, new.label);
+        let (bytes, _) = target_file::encode(&new.kept(), Some(name))?;
+        self.keep(name, &bytes, Some(frame), label)
     }
 
     fn rename_target(&self, name: &str, to: &str) -> Result<PathBuf, LibraryError> {
         let from = self.target_path(name)?;
         if name.eq_ignore_ascii_case(to) {
-            return Err(taken(name, from));
+            return Err(taken(name));
         }
         self.check_new_target(to)?;
         read_target(&from)?;
@@ -254,15 +299,17 @@ impl Targets for Folder {
         let pictures = [name, to].map(|n| self.targets().join(format!("{n}.png")));
         let _lock = files::lock(&self.targets());
         // The image first, then the file that makes the target exist; what it was called before goes last.
+        self.put_label(to, &self.target_label(name)?)?;
         if let Ok(picture) = fs::read(&pictures[0]) {
             files::replace(&pictures[1], &picture).map_err(LibraryError::not_kept(&pictures[1]))?;
         }
         match write_new(&path, &bytes).map_err(LibraryError::not_kept(&path))? {
             true => {}
-            false => return Err(taken(to, path)),
+            false => return Err(taken(to)),
         }
         fs::remove_file(&from).map_err(LibraryError::not_kept(&from))?;
         let _ = fs::remove_file(&pictures[0]);
+        let _ = fs::remove_file(self.label_file(name));
         Ok(path)
     }
 
@@ -285,11 +332,12 @@ impl Targets for Folder {
         fs::rename(&from, &to).map_err(LibraryError::not_kept(&to))?;
         let picture = self.targets().join(format!("{name}.png"));
         let _ = fs::rename(&picture, to.with_extension("png"));
+        let _ = fs::rename(self.label_file(name), to.with_extension(LABEL));
         Ok(to)
     }
 
     fn export_target(&self, name: &str, to: &Path) -> Result<(), LibraryError> {
-        let (bytes, _) = target_file::encode(&self.target(name)?)?;
+        let (bytes, _) = target_file::encode(&self.target(name)?, Some(name))?;
         match write_new(to, &bytes).map_err(LibraryError::not_kept(to))? {
             true => Ok(()),
             false => Err(LibraryError::NotKept {
@@ -302,9 +350,10 @@ impl Targets for Folder {
     fn import_target(&self, from: &Path, name: &str) -> Result<KeptTarget, LibraryError> {
         self.check_new_target(name)?;
         let kept = read_target(from)?;
-        let (bytes, id) = target_file::encode(&kept)?;
+        let (bytes, id) = target_file::encode(&kept, Some(name))?;
         let taken = kept.target.taken.clone();
-        self.keep(name, &bytes, taken.as_deref().map(|t| &*t.frame))?;
+        let frame = taken.as_deref().map(|t| &*t.frame);
+        self.keep(name, &bytes, frame, &Label::default())?;
         Ok(KeptTarget { id, ..kept })
     }
 }
@@ -312,8 +361,13 @@ impl Targets for Folder {
 /// No target's file is larger, bytes.
 const LARGEST_TARGET: u64 = 1 << 30;
 
-/// A target's file, of this version or the one before.
-fn read_target(path: &Path) -> Result<KeptTarget, LibraryError> {
+/// Whether a file is one of the first version.
+pub(crate) fn is_first(path: &Path) -> bool {
+    is_json(path)
+}
+
+/// The bytes of a target's file.
+pub(crate) fn bytes_of(path: &Path) -> Result<Vec<u8>, LibraryError> {
     if !path.exists() && is_there(path) {
         let to = fs::read_link(path).unwrap_or_default();
         return Err(LibraryError::Read {
@@ -324,17 +378,20 @@ fn read_target(path: &Path) -> Result<KeptTarget, LibraryError> {
             ),
         });
     }
-    if !is_json(path) {
-        let bytes =
-            scopeservo_files::read(path, LARGEST_TARGET).map_err(LibraryError::read(path))?;
-        return target_file::decode(&bytes).map_err(|what| LibraryError::damaged(path, what));
+    scopeservo_files::read(path, LARGEST_TARGET).map_err(LibraryError::read(path))
+}
+
+/// What a target's file holds, of this version or the one before.
+pub(crate) fn kept_of(path: &Path, bytes: &[u8]) -> Result<KeptTarget, LibraryError> {
+    if !is_first(path) {
+        return target_file::decode(bytes).map_err(|what| LibraryError::damaged(path, what));
     }
     let First {
         saved,
         instrument,
         stage,
         target,
-    } = read(path)?;
+    } = parse(path, bytes)?;
     let sound = target.features.check();
     sound.map_err(|what| LibraryError::damaged(path, what))?;
     Ok(KeptTarget {
@@ -346,17 +403,38 @@ fn read_target(path: &Path) -> Result<KeptTarget, LibraryError> {
     })
 }
 
+/// A target's file, of this version or the one before.
+fn read_target(path: &Path) -> Result<KeptTarget, LibraryError> {
+    kept_of(path, &bytes_of(path)?)
+}
+
+/// A picture that was kept for people.
+pub(crate) fn picture_of(path: &Path) -> Option<Frame> {
+    let slide = Slide::open(path).ok()?;
+    let size = slide.levels()[0];
+    let picture = slide
+        .read_rgb8(0, 0, 0, size.width, size.height, [255; 3])
+        .ok()?;
+    Some(Frame {
+        width: picture.width as usize,
+        height: picture.height as usize,
+        channels: Channels::Rgb,
+        bit_depth: 8,
+        samples: Samples::U8(picture.data),
+        sequence: 0,
+        exposure_start: Timestamp::default(),
+        exposure: Duration::ZERO,
+    })
+}
+
 /// An image for people.
-fn png(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
+pub(crate) fn png(frame: &Frame) -> Result<Vec<u8>, LibraryError> {
     let size = [frame.width, frame.height];
     to_png(&frame.rgb8(), size, ExtendedColorType::Rgb8)
 }
 
-fn taken(name: &str, file: PathBuf) -> LibraryError {
-    LibraryError::Taken {
-        name: name.into(),
-        file,
-    }
+pub(crate) fn taken(name: &str) -> LibraryError {
+    LibraryError::Taken { name: name.into() }
 }
 
 #[cfg(test)]

@@ -1,0 +1,92 @@
+//! Targets by what is asked for: name, note and slide by full text, the newest first.
+
+use crate::LibraryError;
+use crate::database::store::Database;
+use crate::database::target_rows::{COLUMNS, FROM, TargetRow};
+use rusqlite::types::Value;
+use rusqlite::{OptionalExtension as _, params_from_iter};
+
+/// The index knows three letters that follow each other; what is shorter is looked for row by row.
+const INDEXED: usize = 3;
+
+/// Which targets are wanted, the newest first.
+#[derive(Debug, Clone, Default)]
+pub struct TargetQuery<'a> {
+    /// Words that are all in name, note or slide, or parts of words.
+    pub text: &'a str,
+    /// Only those on this slide.
+    pub slide: Option<&'a str>,
+    /// So many at most; all where it is 0.
+    pub limit: usize,
+    /// Only those after this one in the list.
+    pub after: Option<&'a str>,
+    /// Those in the bin, instead of those that are not.
+    pub binned: bool,
+}
+
+const BY_INDEX: &str = "targets.id IN (SELECT rowid FROM words WHERE words MATCH ?)";
+const BY_ROW: &str =
+    "(targets.name || ' ' || targets.note || ' ' || coalesce(slides.name, '')) LIKE ? ESCAPE '\\'";
+
+/// A word as it is looked for row by row, whatever is in it.
+fn like(word: &str) -> String {
+    let escaped = word
+        .replace('\\', r"\\")
+        .replace('%', r"\%")
+        .replace('_', r"\_");
+    format!("%{escaped}%")
+}
+
+impl Database {
+    /// Targets, the newest first.
+    ///
+    /// # Errors
+    /// [`LibraryError::NoTarget`] for the one after which they were wanted; those of the database.
+    pub fn find_targets(&self, wanted: &TargetQuery<'_>) -> Result<Vec<TargetRow>, LibraryError> {
+        let after: Option<(String, i64)> = match wanted.after {
+            None => None,
+            Some(name) => self.read(|c| {
+                let place = c.query_row(
+                    "SELECT saved, id FROM targets WHERE name = ?1 AND binned IS NULL",
+                    [name],
+                    |row| Ok((row.get(0)?, row.get(1)?)),
+                );
+                Ok(place.optional()?)
+            })?,
+        };
+        let mut given: Vec<Value> = Vec::new();
+        let mut rules = vec![match wanted.binned {
+            true => "binned IS NOT NULL",
+            false => "binned IS NULL",
+        }];
+        if let Some((saved, id)) = after {
+            rules.push("(targets.saved, targets.id) < (?, ?)");
+            given.extend([Value::from(saved), id.into()]);
+        }
+        if let Some(slide) = wanted.slide {
+            rules.push("targets.slide = (SELECT id FROM slides WHERE name = ?)");
+            given.push(slide.to_owned().into());
+        }
+        for word in wanted.text.split_whitespace() {
+            let (rule, value) = match word.chars().count() >= INDEXED {
+                true => (BY_INDEX, format!("\"{}\"", word.replace('"', "\"\""))),
+                false => (BY_ROW, like(word)),
+            };
+            rules.push(rule);
+            given.push(value.into());
+        }
+        let limit = match wanted.limit {
+            0 => -1,
+            limit => i64::try_from(limit).unwrap_or(-1),
+        };
+        let rule = rules.join(" AND ");
+        let sql = format!(
+            "SELECT {COLUMNS} FROM {FROM} WHERE {rule} ORDER BY targets.saved DESC, targets.id DESC LIMIT {limit}"
+        );
+        self.read(|c| {
+            let mut rows = c.prepare_cached(&sql)?;
+            let rows = rows.query_map(params_from_iter(given), TargetRow::of)?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+}
