@@ -470,7 +470,14 @@ mod tests {
 
     fn keep(folder: &Folder, name: &str) -> Result<PathBuf, LibraryError> {
         let (target, frame) = view();
-        folder.keep_target(name, "lab", StagePose::default(), target, &frame)
+        folder.keep_target(NewTarget {
+            name,
+            instrument: "lab",
+            stage: StagePose::default(),
+            target,
+            frame: &frame,
+            label: &Label::default(),
+        })
     }
 
     /// Whenever a save is killed, the target is whole or not there, and its name is free as long as it is not there.

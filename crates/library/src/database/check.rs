@@ -9,6 +9,8 @@ use rusqlite::Connection;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::fs;
+use std::path::PathBuf;
 
 /// Something that is not as it was kept.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -87,7 +89,7 @@ pub struct Checked {
     /// What is wrong.
     pub faults: Vec<Fault>,
     /// Files that nothing names: what killed programs left.
-    pub litter: Vec<String>,
+    pub litter: Vec<PathBuf>,
     /// Whether the litter is gone and the text index made anew.
     pub mended: bool,
 }
@@ -115,7 +117,8 @@ impl Database {
         self.sweep(|connection| {
             let mut checked = self.look(connection, progress)?;
             for object in &checked.litter {
-                self.objects().remove(object);
+                // Whoever cannot remove it can still use the library.
+                let _ = fs::remove_file(object);
             }
             within(connection, |change| {
                 change.execute_batch(
@@ -153,12 +156,13 @@ impl Database {
             ..Checked::default()
         };
         let used = uses(connection)?;
-        let there: BTreeSet<String> = self.objects().names()?.into_iter().collect();
+        let there: BTreeSet<PathBuf> = self.objects().all()?.into_iter().collect();
+        let place = |object: &String| self.objects().place(object);
         checked.objects = used.len();
         for (done, (object, of)) in used.iter().enumerate() {
             progress(done, used.len());
             let (object, of) = (object.clone(), of.clone());
-            if !there.contains(&object) {
+            if !there.contains(&place(&object)) {
                 checked.faults.push(Fault::Missing { object, of });
                 continue;
             }
@@ -179,10 +183,8 @@ impl Database {
             }
         }
         progress(used.len(), used.len());
-        checked.litter = there
-            .into_iter()
-            .filter(|object| !used.contains_key(object))
-            .collect();
+        let named: BTreeSet<PathBuf> = used.keys().map(place).collect();
+        checked.litter = there.difference(&named).cloned().collect();
         Ok(checked)
     }
 }

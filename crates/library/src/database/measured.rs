@@ -3,8 +3,9 @@
 
 use crate::calibrations::{kept_in, kept_now, newest};
 use crate::cameras::{from_png, to_png};
+use crate::database::bin::Gone;
 use crate::database::objects::Stored;
-use crate::database::rows::{instrument, row_of};
+use crate::database::rows::{instrument, row_of, within};
 use crate::database::store::Database;
 use crate::database::wrong::Done;
 use crate::folder::{SCHEMA, parse, to_json};
@@ -244,11 +245,38 @@ impl Cameras for Database {
     fn keep_shadows(&self, instrument: &str, seen: &FlatField) -> Result<PathBuf, LibraryError> {
         let size = size_word([seen.width(), seen.height()]);
         let made = utc(SystemTime::now());
-        self.keep_measured(
+        let former = self.measured(Kind::Shadows, Some(instrument), Some(&size))?;
+        let place = self.keep_measured(
             Kind::Shadows,
             [instrument, &size, &made],
             &to_png(seen)?,
             "png",
-        )
+        )?;
+        if !former.is_empty() {
+            self.forget_shadows(instrument, &size)?;
+        }
+        Ok(place)
+    }
+}
+
+impl Database {
+    /// Every run sees them anew: but for the newest they are of no use.
+    fn forget_shadows(&self, instrument: &str, size: &str) -> Result<(), LibraryError> {
+        self.sweep(|connection| {
+            let mut gone = Gone::default();
+            within(connection, |change| {
+                let mut files = change.prepare(
+                    "DELETE FROM measurements WHERE kind = 'shadows' AND of = ?2
+                         AND instrument = (SELECT id FROM instruments WHERE name = ?1)
+                         AND id < (SELECT max(m.id) FROM measurements AS m
+                                   WHERE m.kind = 'shadows' AND m.of = ?2 AND m.instrument = measurements.instrument)
+                     RETURNING file",
+                )?;
+                let files = files.query_map([instrument, size], |row| row.get(0))?;
+                gone.objects = files.collect::<Result<_, _>>()?;
+                Ok(())
+            })?;
+            self.delete_files(connection, &gone)
+        })
     }
 }

@@ -104,12 +104,12 @@ impl Objects {
         let _ = fs::remove_file(self.place(name));
     }
 
-    /// The names of all that lie there.
+    /// All files that lie there, in order.
     ///
     /// # Errors
     /// [`LibraryError::Read`].
-    pub(crate) fn names(&self) -> Result<Vec<String>, LibraryError> {
-        let mut names = Vec::new();
+    pub(crate) fn all(&self) -> Result<Vec<PathBuf>, LibraryError> {
+        let mut all = Vec::new();
         let list = |folder: &Path| match fs::read_dir(folder) {
             Err(e) if e.kind() == ErrorKind::NotFound => Ok(Vec::new()),
             listing => listing
@@ -121,11 +121,11 @@ impl Objects {
                 continue;
             }
             for object in list(&folder.path())? {
-                names.push(object.file_name().to_string_lossy().into_owned());
+                all.push(object.path());
             }
         }
-        names.sort();
-        Ok(names)
+        all.sort();
+        Ok(all)
     }
 }
 
@@ -137,12 +137,12 @@ mod tests {
     fn an_object_is_kept_once_and_what_was_damaged_is_noticed_and_mended_by_keeping_it_again() {
         let dir = tempfile::tempdir().unwrap();
         let objects = Objects::new(dir.path().join("objects"));
-        assert!(objects.names().unwrap().is_empty());
+        assert!(objects.all().unwrap().is_empty());
         let first = objects.put(b"a view", "target").unwrap();
         let again = objects.put(b"a view", "target").unwrap();
         assert_eq!(first.name, again.name);
         assert_eq!(first.bytes, 6);
-        assert_eq!(objects.names().unwrap(), [first.name.clone()]);
+        assert_eq!(objects.all().unwrap(), [objects.place(&first.name)]);
         assert_eq!(objects.get(&first.name).unwrap(), b"a view");
         for damage in [&b"a vieW"[..], b"", b"a view "] {
             fs::write(objects.place(&first.name), damage).unwrap();

@@ -4,6 +4,7 @@ use crate::LibraryError;
 use crate::database::wrong::{Done, Wrong};
 use crate::files::make_folder;
 use crate::folder::Folder;
+use crate::targets::LABEL;
 use rusqlite::Connection;
 use std::fs;
 use std::io::ErrorKind;
@@ -44,6 +45,11 @@ pub(crate) fn delete<'a>(
         for path in paths {
             let aside = aside(folder, &path);
             remove(&aside).map_err(Wrong::not_kept(&aside))?;
+            if path.starts_with("targets/") {
+                for beside in ["png", LABEL].map(|ending| aside.with_extension(ending)) {
+                    remove(&beside).map_err(Wrong::not_kept(&beside))?;
+                }
+            }
             connection.execute("DELETE FROM taken_in WHERE path = ?1", [path])?;
         }
     }

@@ -8,6 +8,7 @@ use crate::targets::{kept_of, png};
 use crate::{Label, LibraryError, target_file};
 use serde::Serialize;
 use serde_json::Value;
+use std::path::PathBuf;
 
 /// What was found.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
@@ -33,7 +34,8 @@ impl Database {
                     .into(),
             });
         }
-        let names = self.objects().names()?;
+        let name = |p: &PathBuf| Some(p.file_name()?.to_str()?.to_owned());
+        let names: Vec<String> = self.objects().all()?.iter().filter_map(name).collect();
         let mut done = Rebuilt::default();
         let mut measured = Vec::new();
         for (k, object) in names.iter().enumerate() {

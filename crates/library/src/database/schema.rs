@@ -26,7 +26,8 @@ pub(crate) fn bring(connection: &mut Connection, path: &Path) -> Done<()> {
     }
     let change = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
     let found = number(&change, "user_version")?;
-    let is_empty: bool = change.query_row("SELECT count(*) = 0 FROM sqlite_schema", [], |r| r.get(0))?;
+    let is_empty: bool =
+        change.query_row("SELECT count(*) = 0 FROM sqlite_schema", [], |r| r.get(0))?;
     if !is_empty && number(&change, "application_id")? != APPLICATION {
         return Err(Wrong::Library(LibraryError::Read {
             path: path.into(),

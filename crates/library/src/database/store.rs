@@ -3,13 +3,14 @@
 use crate::LibraryError;
 use crate::database::objects::Objects;
 use crate::database::rows::{Lasting, connect, within};
-use crate::database::wrong::Done;
+use crate::database::wrong::{Done, Wrong};
 use crate::database::{drive, take_in};
 use crate::files::make_folder;
 use crate::folder::Folder;
 use rusqlite::{Connection, Transaction};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 /// The database's file in its folder.
 const FILE: &str = "library.sqlite3";
@@ -62,6 +63,17 @@ impl Database {
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
         Ok(std::mem::take(&mut *told))
+    }
+
+    /// How long a program waits here until another has written; some seconds unless told.
+    ///
+    /// # Errors
+    /// Those of opening the database.
+    pub fn set_patience(&self, patience: Duration) -> Result<(), LibraryError> {
+        let open = self.opened(&mut |_, _| {})?;
+        let connection = open.as_ref().ok_or_else(|| self.nowhere())?;
+        let set = connection.busy_timeout(patience);
+        set.map_err(|e| Wrong::from(e).of(&self.file()))
     }
 
     pub(crate) fn folder(&self) -> &Folder {
