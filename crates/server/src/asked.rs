@@ -74,17 +74,28 @@ pub(crate) enum Case {
     Any(Box<AnyJob>),
     Hand(Hand),
     Jog(Jog),
+    /// Saving a view, by a program that was killed after it was kept and before it said so.
+    WasKept,
+}
+
+/// What came of a case.
+#[derive(Debug)]
+pub(crate) enum Done {
+    /// Of a step by hand, nothing more.
+    Nothing,
+    Answer(Box<Answer>),
+    WasKept,
 }
 
 impl UseCase for Case {
-    /// Nothing of a step by hand.
-    type Output = Option<Box<Answer>>;
+    type Output = Done;
 
     fn kind(&self) -> &'static str {
         match self {
             Self::Any(job) => job.kind(),
             Self::Hand(hand) => hand.kind(),
             Self::Jog(jog) => jog.kind(),
+            Self::WasKept => "save_target",
         }
     }
 
@@ -93,20 +104,22 @@ impl UseCase for Case {
             Self::Any(job) => job.can_go_on(),
             Self::Hand(hand) => hand.can_go_on(),
             Self::Jog(jog) => jog.can_go_on(),
+            Self::WasKept => false,
         }
     }
 
     fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<Self::Output>, JobError> {
         let done = |progress| match progress {
-            Progress::Done(()) => Progress::Done(None),
+            Progress::Done(()) => Progress::Done(Done::Nothing),
             Progress::Continue => Progress::Continue,
         };
         Ok(match self {
             Self::Hand(hand) => done(hand.step(work)?),
             Self::Jog(jog) => done(jog.step(work)?),
+            Self::WasKept => Progress::Done(Done::WasKept),
             Self::Any(job) => match job.step(work)? {
                 Progress::Continue => Progress::Continue,
-                Progress::Done(answer) => Progress::Done(Some(Box::new(answer))),
+                Progress::Done(answer) => Progress::Done(Done::Answer(Box::new(answer))),
             },
         })
     }
@@ -384,6 +397,15 @@ fn resume(bench: &Workbench) -> Result<Wish, ApiError> {
     let stored = AnyJob::stored(&left.head.job, step.state.to_string().as_bytes());
     let mut job = stored.map_err(|e| cannot(e.to_string()))?;
     let name = left.head.inputs["name"].as_str().map(str::to_owned);
+    if let (AnyJob::SaveTarget(_), Some(name)) = (&job, &name)
+        && bench.library.target(name).is_ok()
+    {
+        return Ok(Wish {
+            case: Case::WasKept,
+            about: Some(name.clone()),
+            asked: None,
+        });
+    }
     if let Some(id) = job.target_id() {
         let target = kept_target(bench, name.as_deref().unwrap_or_default(), id);
         job = job.with_target(target.map_err(cannot)?);

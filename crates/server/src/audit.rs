@@ -6,8 +6,8 @@ use crate::people::Caller;
 use scopeservo_library::files::make_folder;
 use scopeservo_library::utc;
 use serde_json::{Value, json};
-use std::fs::{self, OpenOptions};
-use std::io::Write as _;
+use std::fs::{self, File, OpenOptions};
+use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::SystemTime;
@@ -72,6 +72,41 @@ fn append(file: &Path, line: &str) -> std::io::Result<()> {
     if fs::metadata(file).is_ok_and(|m| m.len() > LONGEST) {
         fs::rename(file, file.with_extension("before.jsonl"))?;
     }
-    let mut open = OpenOptions::new().create(true).append(true).open(file)?;
-    open.write_all(format!("{line}\n").as_bytes())
+    let mut options = OpenOptions::new();
+    let mut open = options.create(true).append(true).read(true).open(file)?;
+    // Whoever was killed in the middle of a line spoils no other.
+    let begin = match is_whole(&mut open)? {
+        true => "",
+        false => "\n",
+    };
+    open.write_all(format!("{begin}{line}\n").as_bytes())
+}
+
+/// Whether what is there ends with a line's end.
+fn is_whole(file: &mut File) -> std::io::Result<bool> {
+    if file.metadata()?.len() == 0 {
+        return Ok(true);
+    }
+    file.seek(SeekFrom::End(-1))?;
+    let mut last = [0];
+    file.read_exact(&mut last)?;
+    Ok(last == *b"\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_that_was_cut_off_spoils_no_other() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("moved.jsonl");
+        append(&file, "1").unwrap();
+        append(&file, "2").unwrap();
+        fs::write(&file, "1\n2\n{\"at").unwrap();
+        append(&file, "3").unwrap();
+        append(&file, "4").unwrap();
+        let text = fs::read_to_string(&file).unwrap();
+        assert_eq!(text, "1\n2\n{\"at\n3\n4\n");
+    }
 }

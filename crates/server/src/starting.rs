@@ -23,8 +23,7 @@ pub(crate) fn start(app: &Arc<App>, caller: &Caller, wish: Wish) -> Result<JobId
     let (entry, (task, job)) = app.desk.put(|| {
         let is_new = asked.as_ref().is_some_and(|asked| !asked.resumed);
         if let (true, Some(standing)) = (is_new, app.bench.waits()?) {
-            let message = format!("{standing}. Resume it or abandon it first");
-            return Err(ApiError::conflict("unfinished", message));
+            return Err(ApiError::unfinished(&standing));
         }
         let lease = app.seat.take(caller)?;
         let asked = asked.map(|asked| with_names(app, caller, asked));
