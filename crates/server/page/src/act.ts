@@ -58,6 +58,8 @@ export function useWhyNot(): string | null {
   return use((m) => {
     const why = m.state?.may_not_start ?? null;
     if (why === null || m.link === "lost") return null;
+    // The live page has a card for what was left.
+    if (why.code === "unfinished" && m.page === "live") return null;
     if (why.code === "busy" && underWay(m).every((kind) => TOLD.has(kind))) return null;
     return why.message;
   });
