@@ -2,6 +2,7 @@
 
 mod common;
 mod hands;
+mod library;
 mod moving;
 #[cfg(feature = "serve")]
 mod serve;
@@ -11,6 +12,7 @@ mod work;
 
 pub(crate) use common::*;
 pub(crate) use hands::*;
+pub(crate) use library::*;
 #[cfg(feature = "serve")]
 pub(crate) use serve::*;
 pub(crate) use target::*;
@@ -72,6 +74,12 @@ pub(crate) enum Command {
     /// Saved views.
     #[command(subcommand)]
     Target(TargetCommand),
+    /// What was done: runs with their answers, events and reports.
+    #[command(subcommand)]
+    Run(RunCommand),
+    /// Look after what is kept: check it, back it up, take it elsewhere.
+    #[command(subcommand)]
+    Library(LibraryCommand),
     /// Bring the instrument back to a saved view.
     Reposition(RepositionArgs),
     /// A page to work at, and an interface for programs: the instrument at an address of this computer.
@@ -122,6 +130,17 @@ impl Command {
             Self::Target(TargetCommand::Show(args)) => args.kept.answer.json,
             Self::Target(TargetCommand::Rename(args)) => args.kept.answer.json,
             Self::Target(TargetCommand::Remove(args)) => args.kept.answer.json,
+            Self::Target(TargetCommand::Note(args)) => args.kept.answer.json,
+            Self::Target(TargetCommand::Restore(args)) => args.kept.answer.json,
+            Self::Target(TargetCommand::Purge(args)) => args.kept.answer.json,
+            Self::Run(RunCommand::List(args)) => args.kept.answer.json,
+            Self::Run(RunCommand::Show(args)) => args.kept.answer.json,
+            Self::Run(RunCommand::Pin(args)) => args.kept.answer.json,
+            Self::Library(LibraryCommand::Check(args)) => args.kept.answer.json,
+            Self::Library(LibraryCommand::Backup(args)) => args.kept.answer.json,
+            Self::Library(LibraryCommand::Restore(args)) => args.kept.answer.json,
+            Self::Library(LibraryCommand::Export(args)) => args.kept.answer.json,
+            Self::Library(LibraryCommand::Rebuild(args)) => args.kept.answer.json,
             Self::Target(TargetCommand::Export(args)) => args.kept.answer.json,
             Self::Target(TargetCommand::Import(args)) => args.kept.answer.json,
             Self::Reposition(args) => args.answer.json,

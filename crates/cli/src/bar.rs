@@ -38,6 +38,39 @@ pub(crate) fn of(parts: u64) -> ProgressBar {
     steady(ProgressBar::new(parts), template(columns))
 }
 
+/// Work of parts of which it is told how many there are while it is done; nothing is shown of work that is done at once.
+pub(crate) struct Parts {
+    what: &'static str,
+    bar: std::cell::OnceCell<ProgressBar>,
+}
+
+impl Parts {
+    pub(crate) fn new(what: &'static str) -> Self {
+        Self {
+            what,
+            bar: std::cell::OnceCell::new(),
+        }
+    }
+
+    /// So many of so many are done.
+    pub(crate) fn done(&self, done: usize, all: usize) {
+        let bar = self.bar.get_or_init(|| {
+            let bar = of(all as u64);
+            bar.set_message(self.what);
+            bar
+        });
+        bar.set_position(done as u64);
+    }
+}
+
+impl Drop for Parts {
+    fn drop(&mut self) {
+        if let Some(bar) = self.bar.get() {
+            bar.finish_and_clear();
+        }
+    }
+}
+
 /// From now on it is shown, and moves.
 fn steady(bar: ProgressBar, template: &str) -> ProgressBar {
     let bar = screen().add(bar);

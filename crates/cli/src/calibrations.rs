@@ -12,7 +12,7 @@ use serde_json::json;
 use std::path::Path;
 
 pub(crate) fn run(args: &CalibrationsArgs, answer: &Answer) -> Result<bool, CliError> {
-    let history = library_of(&args.kept.description)?.calibration_history()?;
+    let history = library_of(&args.kept.description, answer)?.calibration_history()?;
     answer.put(json!({"history": []}));
     let wanted = |id: &ObjectiveId| args.objective.as_ref().is_none_or(|o| *o == id.0);
     let mut shown = 0;

@@ -235,12 +235,15 @@ pub(crate) fn shell(word: &str) -> String {
 
 fn library_code(error: &LibraryError) -> Code {
     match error {
-        LibraryError::BadName(_) | LibraryError::Taken { .. } | LibraryError::NoTarget { .. } => {
-            Code::Usage
-        }
-        LibraryError::CannotWrite { .. } => Code::CannotWrite,
+        LibraryError::BadName(_)
+        | LibraryError::Taken { .. }
+        | LibraryError::NoTarget { .. }
+        | LibraryError::NotInBin { .. }
+        | LibraryError::NoRun { .. } => Code::Usage,
+        LibraryError::CannotWrite { .. } | LibraryError::NetworkDrive { .. } => Code::CannotWrite,
+        LibraryError::Busy { .. } => Code::InUse,
         LibraryError::NotKept { .. } => Code::NotKept,
-        LibraryError::Read { .. } => Code::CannotRead,
+        LibraryError::Read { .. } | LibraryError::Newer { .. } => Code::CannotRead,
         LibraryError::Damaged { .. }
         | LibraryError::DamagedCalibration { .. }
         | LibraryError::DamagedJournal { .. } => Code::Damaged,

@@ -24,6 +24,7 @@ mod hands;
 mod images;
 mod init;
 mod interview;
+mod library;
 mod manual;
 mod nearby;
 mod open_instrument;
@@ -31,6 +32,7 @@ mod output;
 mod patient_clock;
 mod progress;
 mod register;
+mod runs;
 mod scene;
 #[cfg(feature = "serve")]
 mod serve;
@@ -42,7 +44,10 @@ mod twin_serve;
 mod views;
 
 use answer::Answer;
-use args::{Cli, Command, DriverCommand, StageCommand, TargetCommand, TwinCommand};
+use args::{
+    Cli, Command, DriverCommand, LibraryCommand, RunCommand, StageCommand, TargetCommand,
+    TwinCommand,
+};
 use clap::Parser;
 use error::CliError;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -102,6 +107,17 @@ fn run(command: Command, answer: &Answer) -> Result<bool, CliError> {
         Command::Target(TargetCommand::Show(args)) => targets::show_target(&args, answer),
         Command::Target(TargetCommand::Rename(args)) => targets::rename_target(&args, answer),
         Command::Target(TargetCommand::Remove(args)) => targets::remove_targets(&args, answer),
+        Command::Target(TargetCommand::Note(args)) => targets::note_target(&args, answer),
+        Command::Target(TargetCommand::Restore(args)) => targets::restore_target(&args, answer),
+        Command::Target(TargetCommand::Purge(args)) => targets::purge_targets(&args, answer),
+        Command::Run(RunCommand::List(args)) => runs::list(&args, answer),
+        Command::Run(RunCommand::Show(args)) => runs::show(&args, answer),
+        Command::Run(RunCommand::Pin(args)) => runs::pin(&args, answer),
+        Command::Library(LibraryCommand::Check(args)) => library::check(&args, answer),
+        Command::Library(LibraryCommand::Backup(args)) => library::back_up(&args, answer),
+        Command::Library(LibraryCommand::Restore(args)) => library::restore(&args, answer),
+        Command::Library(LibraryCommand::Export(args)) => library::export(&args, answer),
+        Command::Library(LibraryCommand::Rebuild(args)) => library::rebuild(&args, answer),
         Command::Target(TargetCommand::Export(args)) => targets::export_target(&args, answer),
         Command::Target(TargetCommand::Import(args)) => targets::import_target(&args, answer),
         Command::Reposition(args) => commands::reposition(&args, answer),

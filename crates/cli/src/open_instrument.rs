@@ -147,6 +147,8 @@ impl OpenInstrument {
         watcher: &mut Watcher,
         answer: &Answer,
     ) -> Result<Ran<U::Output>, CliError> {
+        // What cannot be kept is not begun.
+        self.library.try_room()?;
         let (mut record, lost) = self.record(case.kind(), asked);
         if let Some(lost) = lost {
             answer.or_warn::<()>(Err(lost));

@@ -6,7 +6,7 @@ use crate::bar;
 use crate::error::{CliError, Code};
 use crate::open_instrument::stop_on_interrupt;
 use scopeservo_scope::CancelToken;
-use scopeservo_server::{Before, Server, Settings};
+use scopeservo_server::{Before, Certificate, Limits, Server, Settings};
 use scopeservo_setup::{Config, Consent, home_if_needed};
 use scopeservo_station::jobs::{CalibrateInput, CalibrateJob};
 use scopeservo_station::{MadeCalibration, MemoryJournal, Parts};
@@ -60,6 +60,9 @@ pub(crate) fn run(args: &ServeArgs, answer: &Answer) -> Result<bool, CliError> {
     let settings = Settings {
         listen: args.listen,
         names: args.name.clone(),
+        tls: certificate(args),
+        proxies: args.proxy.clone(),
+        limits: Limits::default(),
         demo: args.demo,
         folder: data.join("server"),
     };
@@ -85,6 +88,15 @@ pub(crate) fn run(args: &ServeArgs, answer: &Answer) -> Result<bool, CliError> {
     let server = Server::start(bench, before, &settings)
         .map_err(|error| CliError::Usage(error.to_string()))?;
     say!(answer, "open {}", server.link());
+    if let Some(outside) = server.outside() {
+        say!(answer, "from other machines: {outside}");
+    }
+    if let Some(fingerprint) = server.fingerprint() {
+        say!(
+            answer,
+            "the SHA-256 fingerprint of its certificate, to be compared with what a browser shows before you trust it:\n  {fingerprint}"
+        );
+    }
     say!(answer, "Ctrl-C ends it");
     let server = Arc::new(server);
     if let Some(folder) = &demo {
@@ -97,6 +109,16 @@ pub(crate) fn run(args: &ServeArgs, answer: &Answer) -> Result<bool, CliError> {
     drop(demo);
     say!(answer, "ended: nothing moves");
     Ok(true)
+}
+
+fn certificate(args: &ServeArgs) -> Option<Certificate> {
+    match (&args.tls_cert, &args.tls_key) {
+        (Some(certificate), Some(key)) => Some(Certificate::Files {
+            certificate: certificate.clone(),
+            key: key.clone(),
+        }),
+        _ => args.tls.then_some(Certificate::Own),
+    }
 }
 
 /// Whoever teaches it still lets go within so long.

@@ -70,8 +70,11 @@ fn asked(command: &Command) -> Option<Asked<'_>> {
                 "name": args.name,
                 "objective": args.objective,
                 "focus": args.focus,
+                "slide": args.slide,
+                "note": args.note,
             });
-            (&args.instrument, job, &["--objective", "--focus"])
+            let options: &[&str] = &["--objective", "--focus", "--slide", "--note"];
+            (&args.instrument, job, options)
         }
         _ => return None,
     })

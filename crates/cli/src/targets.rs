@@ -1,46 +1,75 @@
-//! `target list`, `show`, `rename`, `remove`, `export` and `import`: what is done with saved views without an instrument.
+//! `target list`, `show`, `note`, `rename`, `remove`, `restore`, `purge`, `export` and `import`: what is done with saved views without an instrument.
 
 use crate::answer::Answer;
 use crate::args::{
-    TargetExportArgs, TargetImportArgs, TargetListArgs, TargetRemoveArgs, TargetRenameArgs,
-    TargetShowArgs,
+    TargetExportArgs, TargetImportArgs, TargetListArgs, TargetNoteArgs, TargetPurgeArgs,
+    TargetRemoveArgs, TargetRenameArgs, TargetRestoreArgs, TargetShowArgs,
 };
 use crate::commands::library_of;
 use crate::error::{CliError, shell};
-use crate::output;
-use scopeservo_library::{KeptTarget, Targets as _};
+use crate::{output, runs};
+use scopeservo_library::{
+    KeptTarget, Label, Purged, RunQuery, TargetQuery, TargetRow, Targets as _,
+};
 use scopeservo_protocol::Place;
 use serde_json::{Value, json};
 use std::path::Path;
 
+/// So many visits are told of a target.
+const VISITS: usize = 10;
+
 pub(crate) fn list_targets(args: &TargetListArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.kept.description)?;
-    let names = library.target_names()?;
+    let library = library_of(&args.kept.description, answer)?;
+    let rows = library.find_targets(&TargetQuery {
+        text: args.text.as_deref().unwrap_or_default(),
+        slide: args.slide.as_deref(),
+        binned: args.bin,
+        ..TargetQuery::default()
+    })?;
     answer.put(json!({"targets": []}));
-    if names.is_empty() {
-        say!(
-            answer,
-            "no target is saved yet: scopeservo target save NAME"
-        );
+    if rows.is_empty() {
+        let wanted = args.text.is_some() || args.slide.is_some();
+        match (args.bin, wanted) {
+            (true, _) => say!(answer, "nothing lies in the bin"),
+            (false, true) => say!(
+                answer,
+                "no target is like that: scopeservo target list tells all"
+            ),
+            (false, false) => say!(
+                answer,
+                "no target is saved yet: scopeservo target save NAME"
+            ),
+        }
     }
-    for name in names {
+    for row in rows {
         // One that is damaged does not keep the others away.
-        let Some(kept) = answer.or_warn(library.target(&name)) else {
+        if let Some(wrong) = library.target_is_damaged(&row) {
+            answer.or_warn::<()>(Err(wrong));
             continue;
-        };
-        let quality = kept.target.quality.as_ref();
+        }
+        let TargetRow { name, label, .. } = &row;
         say!(
             answer,
-            "{name:24} {:8} {:5} features  {:5} {}  {}",
-            kept.target.objective.0,
-            kept.target.features.len(),
-            quality.map_or("?".into(), |q| format!("{:.0} %", 100.0 * q.chance)),
-            kept.saved,
-            kept.instrument
+            "{name:24} {:8} {:5} features  {:5} {}  {}{}",
+            row.objective,
+            row.features,
+            row.quality
+                .as_ref()
+                .map_or("?".into(), |q| format!("{:.0} %", 100.0 * q.chance)),
+            row.saved,
+            row.instrument,
+            label
+                .slide
+                .as_ref()
+                .map_or(String::new(), |slide| format!("  on {slide}")),
         );
-        let mut entry = keys(&name, &kept);
+        let mut entry = keys(&row);
         if args.long {
-            let file = library.target_path(&name)?;
+            let kept = library.target_in(&row)?;
+            let file = library.target_file(&row);
+            if !label.note.is_empty() {
+                say!(answer, "    {}", label.note);
+            }
             say!(answer, "    stage at {}", kept.stage);
             say!(answer, "    {}, {}", scale(&kept), file.display());
             extend(&mut entry, long(&kept, &file));
@@ -51,15 +80,21 @@ pub(crate) fn list_targets(args: &TargetListArgs, answer: &Answer) -> Result<boo
 }
 
 /// What is told of each target.
-fn keys(name: &str, kept: &KeptTarget) -> Value {
-    json!({
-        "name": name,
-        "saved": kept.saved,
-        "instrument": kept.instrument,
-        "objective": kept.target.objective,
-        "features": kept.target.features.len(),
-        "quality": kept.target.quality.as_ref().map(output::quality),
-    })
+fn keys(row: &TargetRow) -> Value {
+    let mut keys = json!({
+        "name": row.name,
+        "saved": row.saved,
+        "instrument": row.instrument,
+        "objective": row.objective,
+        "features": row.features,
+        "quality": row.quality.as_ref().map(output::quality),
+        "slide": row.label.slide,
+        "note": row.label.note,
+    });
+    if let Some(binned) = &row.binned {
+        keys["removed"] = json!(binned);
+    }
+    keys
 }
 
 /// What is told besides when somebody wants to know more.
@@ -100,14 +135,27 @@ fn scale(kept: &KeptTarget) -> String {
 }
 
 pub(crate) fn show_target(args: &TargetShowArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.kept.description)?;
-    let kept = library.target(&args.name)?;
-    let file = library.target_path(&args.name)?;
-    let mut entry = keys(&args.name, &kept);
+    let library = library_of(&args.kept.description, answer)?;
+    let row = library.target_row(&args.name)?;
+    let kept = library.target_in(&row)?;
+    let file = library.target_file(&row);
+    let visits = library.runs(&RunQuery {
+        limit: VISITS,
+        target: Some(&args.name),
+        ..RunQuery::default()
+    })?;
+    let mut entry = keys(&row);
+    entry["visits"] = json!(visits);
     extend(&mut entry, long(&kept, &file));
     answer.put(entry);
     say!(answer, "{}", args.name);
     say!(answer, "  saved      {} on {}", kept.saved, kept.instrument);
+    if let Some(slide) = &row.label.slide {
+        say!(answer, "  slide      {slide}");
+    }
+    if !row.label.note.is_empty() {
+        say!(answer, "  note       {}", row.label.note);
+    }
     say!(answer, "  objective  {}", kept.target.objective);
     say!(answer, "  stage      {}", kept.stage);
     say!(answer, "  image      {}", scale(&kept));
@@ -135,11 +183,61 @@ pub(crate) fn show_target(args: &TargetShowArgs, answer: &Answer) -> Result<bool
     if !kept.id.is_empty() {
         say!(answer, "  id         {}", kept.id);
     }
+    for visit in &visits {
+        say!(answer, "  {}  {}", visit.id, runs::outcome(visit));
+    }
+    Ok(true)
+}
+
+pub(crate) fn note_target(args: &TargetNoteArgs, answer: &Answer) -> Result<bool, CliError> {
+    let library = library_of(&args.kept.description, answer)?;
+    let before = library.target_label(&args.name)?;
+    let label = Label {
+        note: args.text.clone().unwrap_or(before.note),
+        slide: match (args.no_slide, &args.slide) {
+            (true, _) => None,
+            (false, Some(slide)) => Some(slide.clone()),
+            (false, None) => before.slide,
+        },
+    };
+    library.label_target(&args.name, &label)?;
+    answer.put(json!({"name": args.name, "slide": label.slide, "note": label.note}));
+    let on = label
+        .slide
+        .map_or(String::new(), |slide| format!(", on slide {slide}"));
+    say!(answer, "'{}'{on}: {}", args.name, label.note);
+    Ok(true)
+}
+
+pub(crate) fn restore_target(args: &TargetRestoreArgs, answer: &Answer) -> Result<bool, CliError> {
+    let library = library_of(&args.kept.description, answer)?;
+    library.restore_target(&args.name, args.to.as_deref())?;
+    let name = args.to.as_deref().unwrap_or(&args.name);
+    answer.put(json!({"restored": name}));
+    say!(answer, "'{name}' is there again");
+    Ok(true)
+}
+
+pub(crate) fn purge_targets(args: &TargetPurgeArgs, answer: &Answer) -> Result<bool, CliError> {
+    let library = library_of(&args.kept.description, answer)?;
+    let names = (!args.all).then_some(args.names.as_slice());
+    let purged = library.purge_targets(names)?;
+    answer.put(json!({"purged": purged}));
+    if purged.is_empty() {
+        say!(answer, "nothing lies in the bin");
+    }
+    for Purged { name, runs } in &purged {
+        say!(
+            answer,
+            "'{name}' is deleted for good, with {} runs",
+            runs.len()
+        );
+    }
     Ok(true)
 }
 
 pub(crate) fn rename_target(args: &TargetRenameArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.kept.description)?;
+    let library = library_of(&args.kept.description, answer)?;
     let file = library.rename_target(&args.name, &args.to)?;
     answer.put(json!({"name": args.to, "before": args.name, "file": file.to_string_lossy()}));
     say!(answer, "'{}' is '{}' now", args.name, args.to);
@@ -147,7 +245,7 @@ pub(crate) fn rename_target(args: &TargetRenameArgs, answer: &Answer) -> Result<
 }
 
 pub(crate) fn remove_targets(args: &TargetRemoveArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.kept.description)?;
+    let library = library_of(&args.kept.description, answer)?;
     // All are there before any goes.
     for name in &args.names {
         library.target_path(name)?;
@@ -161,15 +259,16 @@ pub(crate) fn remove_targets(args: &TargetRemoveArgs, answer: &Answer) -> Result
         );
         say!(
             answer,
-            "'{name}' is removed. Back again: scopeservo target import {} --name {name}",
-            shell(&file.to_string_lossy())
+            "'{name}' is in the bin. Back again: scopeservo target restore {}; for good: scopeservo target purge {}",
+            shell(name),
+            shell(name)
         );
     }
     Ok(true)
 }
 
 pub(crate) fn export_target(args: &TargetExportArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.kept.description)?;
+    let library = library_of(&args.kept.description, answer)?;
     library.export_target(&args.name, &args.file)?;
     answer.put(json!({"name": args.name, "file": args.file.to_string_lossy()}));
     say!(
@@ -183,7 +282,7 @@ pub(crate) fn export_target(args: &TargetExportArgs, answer: &Answer) -> Result<
 }
 
 pub(crate) fn import_target(args: &TargetImportArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.kept.description)?;
+    let library = library_of(&args.kept.description, answer)?;
     let stem = || Some(args.file.file_stem()?.to_string_lossy().into_owned());
     let name = args.name.clone().or_else(stem).unwrap_or_default();
     let kept = library.import_target(&args.file, &name)?;

@@ -4,28 +4,33 @@ mod common;
 
 use common::{assert_bad_input, code, describe, json, ok, scopeservo, stderr};
 use serde_json::Value;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 const STAGE: &str = "stage = \"xy\"\nobjectives = [\"20x\", \"40x\"]\n";
 
-fn files(here: &Path, objective: &str) -> Vec<PathBuf> {
-    let folder = here.join("scopeservo-data/calibrations").join(objective);
-    let mut all: Vec<PathBuf> = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|e| e.unwrap().path())
-        .collect();
-    all.sort();
-    all
+/// The files beside the database, by their folders and names.
+fn files(here: &Path) -> BTreeSet<PathBuf> {
+    let list = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path());
+    let folders = list(&here.join("scopeservo-data/objects")).filter(|p| p.is_dir());
+    folders.flat_map(|folder| list(&folder)).collect()
 }
 
-/// A later calibration of 40x that is the first one, changed.
+/// A later calibration of 40x that is the first one, changed. Where it lies.
 fn keep_changed(here: &Path, change: impl FnOnce(&mut Value)) -> PathBuf {
-    let first = &files(here, "40x")[0];
+    let history = ok(here, &["calibrations", "--objective", "40x", "--json"]);
+    let first = here.join(history["history"][0]["file"].as_str().unwrap());
     let mut kept: Value = serde_json::from_slice(&std::fs::read(first).unwrap()).unwrap();
     change(&mut kept["calibration"]);
-    let path = first.with_file_name("000007_2099-01-01T00-00-00Z.json");
+    let before = files(here);
+    // As an earlier version would have kept it: it is taken in.
+    let folder = here.join("scopeservo-data/calibrations/40x");
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("000007_2099-01-01T00-00-00Z.json");
     std::fs::write(&path, kept.to_string()).unwrap();
-    path
+    ok(here, &["calibrations", "--json"]);
+    let mut new = files(here).difference(&before).cloned().collect::<Vec<_>>();
+    new.pop().unwrap()
 }
 
 #[test]
@@ -102,7 +107,7 @@ fn the_objective_that_alone_is_off_is_named_and_all_that_is_kept_is_told() {
     // The cure is named: the older one that can be used, and the command that makes another.
     for word in [
         "standard deviation",
-        "for the one before to count, scopeservo-data/calibrations/40x/000001_",
+        "for the one before to count, scopeservo-data/objects/",
         "`scopeservo calibrate --objective 40x`",
     ] {
         let said = warning["message"].as_str().unwrap();

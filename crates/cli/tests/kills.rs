@@ -330,7 +330,7 @@ fn an_answer_that_a_killed_program_had_is_given_by_the_next() {
     killed_with_its_answer(here, &["target", "save", "spot"]);
     let saved = ok(here, &["resume", "--json"]);
     assert!(
-        Path::new(saved["file"].as_str().unwrap()).ends_with("spot.target"),
+        here.join(saved["file"].as_str().unwrap()).exists(),
         "{saved}"
     );
     let list = ok(here, &["target", "list", "--json"]);

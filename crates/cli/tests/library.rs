@@ -65,27 +65,23 @@ fn every_run_leaves_its_record_and_calibrations_made_on_the_way_are_used_again()
     let second = ok(here, &["reposition", "spot", "--json"]);
     let frames = |answer: &Value| answer["frames"].as_u64().unwrap();
     assert!(frames(&second) < frames(&first), "{first} {second}");
-    let data = here.join("scopeservo-data");
-    let mut runs: Vec<_> = fs::read_dir(data.join("runs"))
-        .unwrap()
-        .map(|e| e.unwrap().path())
-        .collect();
-    runs.sort();
-    let last = runs.last().unwrap();
+    let list = ok(here, &["run", "list", "--json"]);
+    let runs = list["runs"].as_array().unwrap();
     assert_eq!(runs.len(), 3);
-    assert!(last.to_str().unwrap().ends_with("_reposition"));
-    let read = |name: &str| fs::read_to_string(last.join(name)).unwrap();
-    let answer: Value = serde_json::from_str(&read("answer.json")).unwrap();
-    assert_eq!(answer["verdict"], second["verdict"]);
+    let last = runs[0]["id"].as_str().unwrap();
+    assert!(last.ends_with("_reposition"));
+    let page = here.join("page.html");
+    let show = ["run", "show", last, "--events", "--report", "page.html", "--json"];
+    let shown = ok(here, &show);
+    assert_eq!(shown["answer"]["verdict"], second["verdict"]);
     assert_eq!(
-        read("report.html"),
+        fs::read_to_string(&page).unwrap(),
         fs::read_to_string(here.join("scopeservo-run/report.html")).unwrap()
     );
+    let over = scopeservo(here, &show);
+    assert_eq!(code(&over), 1, "none is overwritten");
     // Every event, in order, those of the gate among them.
-    let events: Vec<Value> = read("events.jsonl")
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect();
+    let events = shown["events"].as_array().unwrap();
     let numbers: Vec<u64> = events
         .iter()
         .map(|e| e["number"].as_u64().unwrap())
@@ -103,6 +99,64 @@ fn every_run_leaves_its_record_and_calibrations_made_on_the_way_are_used_again()
     );
     assert_eq!(of("procedure", "frame_grabbed") as u64, frames(&second));
     assert_eq!(of("station", "job_ended"), 1);
-    let asked: Value = serde_json::from_str(&read("run.json")).unwrap();
-    assert_eq!(asked["inputs"]["name"], "spot");
+    assert_eq!(shown["inputs"]["name"], "spot");
+    let visits = ok(here, &["target", "show", "spot", "--json"])["visits"].clone();
+    assert_eq!(visits[0]["id"], *last);
+    // All of it comes back from a backup, and goes where other programs can read it.
+    assert_eq!(ok(here, &["library", "check", "--json"])["faults"], serde_json::json!([]));
+    ok(here, &["library", "backup", "backup.tar", "--json"]);
+    ok(here, &["library", "export", "plain", "--json"]);
+    assert!(here.join("plain/runs").join(last).join("report.html").is_file());
+    let refused = scopeservo(here, &["library", "restore", "backup.tar"]);
+    assert_eq!(code(&refused), 1, "no library is overwritten: {}", stderr(&refused));
+    fs::rename(here.join("scopeservo-data"), here.join("lost")).unwrap();
+    ok(here, &["library", "restore", "backup.tar", "--json"]);
+    assert_eq!(ok(here, &["run", "list", "--json"]), list);
+    assert_eq!(ok(here, &["target", "show", "spot", "--json"])["visits"], visits);
+    // And where the database is lost, the views are not.
+    for ending in ["", "-wal", "-shm"] {
+        let _ = fs::remove_file(here.join(format!("scopeservo-data/library.sqlite3{ending}")));
+    }
+    let rebuilt = ok(here, &["library", "rebuild", "--json"]);
+    assert_eq!(rebuilt["targets"], serde_json::json!(["spot"]));
+    let again = ok(here, &["reposition", "spot", "--json"]);
+    assert_eq!(again["verdict"], "arrived", "{again}");
+}
+
+#[test]
+fn targets_are_told_apart_by_slide_and_note_and_are_gone_for_good_only_when_that_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    describe(here, BY_HAND);
+    let save = ["target", "save", "spot", "--slide", "17-B", "--note", "metaphase", "--json"];
+    let saved = ok(here, &save);
+    assert_eq!((&saved["slide"], &saved["note"]), (&"17-B".into(), &"metaphase".into()));
+    ok(here, &["target", "save", "other", "--json"]);
+    let names = |args: &[&str]| -> Vec<String> {
+        let list = ok(here, &[&["target", "list", "--json"], args].concat());
+        let all = list["targets"].as_array().unwrap().iter();
+        all.map(|t| t["name"].as_str().unwrap().to_owned()).collect()
+    };
+    assert_eq!(names(&[]), ["other", "spot"]);
+    assert_eq!(names(&["--slide", "17-B"]), ["spot"]);
+    assert_eq!(names(&["--text", "phase 17"]), ["spot"]);
+    assert!(names(&["--text", "anaphase"]).is_empty());
+    ok(here, &["target", "note", "other", "anaphase", "--slide", "18-A", "--json"]);
+    assert_eq!(names(&["--text", "anaphase 18-a"]), ["other"]);
+    ok(here, &["target", "note", "other", "--no-slide", "--json"]);
+    assert_eq!(names(&["--text", "anaphase"]), ["other"]);
+    assert!(names(&["--slide", "18-A"]).is_empty());
+    for bad in [&["target", "note", "nobody", "x"][..], &["target", "note", "other", "--slide", ""], &["target", "purge", "spot"], &["target", "restore", "spot"], &["run", "show", "1"]] {
+        assert_eq!(code(&scopeservo(here, bad)), 2, "{bad:?}");
+    }
+    ok(here, &["target", "remove", "spot", "--json"]);
+    assert_eq!((names(&[]), names(&["--bin"])), (vec!["other".into()], vec!["spot".into()]));
+    ok(here, &["target", "restore", "spot", "--as", "spot-2", "--json"]);
+    assert_eq!(names(&["--slide", "17-B"]), ["spot-2"]);
+    ok(here, &["target", "remove", "spot-2", "--json"]);
+    let purged = ok(here, &["target", "purge", "--all", "--json"]);
+    assert_eq!(purged["purged"][0]["runs"].as_array().unwrap().len(), 1);
+    assert!(names(&["--bin"]).is_empty());
+    assert_eq!(ok(here, &["run", "list", "--json"])["runs"].as_array().unwrap().len(), 1);
+    assert_eq!(ok(here, &["library", "check", "--json"])["litter"], serde_json::json!([]));
 }

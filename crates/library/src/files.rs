@@ -15,6 +15,9 @@ const PREFIX: &str = ".scopeservo-";
 const RANDOM: usize = 6;
 /// A temporary file is younger than this, or is locked, while somebody works at it.
 const ABANDONED: Duration = Duration::from_secs(60);
+/// For whoever may read the folder, as other files are; and for its owner alone.
+const USUAL: u32 = 0o666;
+const PRIVATE: u32 = 0o600;
 /// What a trial writes: as much as a view and its run take.
 const TRIAL: [u8; 4 << 20] = [0; 4 << 20];
 
@@ -42,12 +45,24 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     Ok(())
 }
 
+/// Like [`replace`], and nobody but its owner can read it, from the first moment on: secrets.
+///
+/// # Errors
+/// What the system says.
+pub fn replace_private(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    sweep(folder_of(path));
+    let file = temporary(folder_of(path), bytes, PRIVATE)?;
+    file.persist(path).map_err(|e| e.error)?;
+    sync(folder_of(path));
+    Ok(())
+}
+
 /// Like [`replace`], where losing this file to a power cut while the one before stays does no harm: its folder is left to the system.
 ///
 /// # Errors
 /// What the system says.
 pub fn renew(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    temporary(folder_of(path), bytes)?
+    temporary(folder_of(path), bytes, USUAL)?
         .persist(path)
         .map_err(|e| e.error)?;
     Ok(())
@@ -71,7 +86,7 @@ pub fn make_folder(folder: &Path) -> io::Result<()> {
 pub fn try_folder(folder: &Path) -> io::Result<()> {
     let nearest = folder.ancestors().find(|f| is_there(f));
     // It need not reach the disk: a full one says so before.
-    begun(nearest.unwrap_or(Path::new(".")), &TRIAL).map(drop)
+    begun(nearest.unwrap_or(Path::new(".")), &TRIAL, USUAL).map(drop)
 }
 
 /// Keeps other programs away from a folder for as long as the answer lives. `None` where the file system knows no locks.
@@ -101,25 +116,26 @@ fn folder_of(path: &Path) -> &Path {
 /// What will be `path`, on the disk under another name.
 fn beside(path: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
     sweep(folder_of(path));
-    temporary(folder_of(path), bytes)
+    temporary(folder_of(path), bytes, USUAL)
 }
 
-fn temporary(folder: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
-    let file = begun(folder, bytes)?;
+fn temporary(folder: &Path, bytes: &[u8], mode: u32) -> io::Result<NamedTempFile> {
+    let file = begun(folder, bytes, mode)?;
     file.as_file().sync_all()?;
     Ok(file)
 }
 
 /// A file under another name, locked.
-fn begun(folder: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
+fn begun(folder: &Path, bytes: &[u8], mode: u32) -> io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).rand_bytes(RANDOM);
-    // For whoever may read the folder, as other files are.
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;
-        builder.permissions(fs::Permissions::from_mode(0o666));
+        builder.permissions(fs::Permissions::from_mode(mode));
     }
+    #[cfg(not(unix))]
+    let _ = mode;
     // What the temporary file would have been called tells nobody anything.
     let mut file = builder
         .tempfile_in(folder)

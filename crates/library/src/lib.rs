@@ -29,7 +29,7 @@ pub use database::{
 pub use error::LibraryError;
 pub use folder::Folder;
 pub use journal::{Journal, JournalHead, JournalStep, Journalled};
-pub use names::utc;
+pub use names::{check_slide, utc};
 pub use nosepieces::{KeptSwitching, Nosepieces};
 pub use runs::{RunHead, RunLog, Runs};
 pub use sets::{CalibrationSets, KeptSet};

@@ -35,7 +35,10 @@ pub(crate) fn plain_name(name: &str) -> Result<(), LibraryError> {
 const LONGEST_SLIDE: usize = 200;
 
 /// Refuses a name that nobody could read on a slide.
-pub(crate) fn check_slide(name: &str) -> Result<(), LibraryError> {
+///
+/// # Errors
+/// [`LibraryError::BadName`].
+pub fn check_slide(name: &str) -> Result<(), LibraryError> {
     let fits = (1..=LONGEST_SLIDE).contains(&name.chars().count());
     match fits && name.trim() == name && !name.chars().any(char::is_control) {
         true => Ok(()),

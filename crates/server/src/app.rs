@@ -3,16 +3,16 @@
 use crate::audit::Audit;
 use crate::desk::Desk;
 use crate::error::ApiError;
-use crate::kept::Remembered;
+use crate::guard::Need;
+use crate::limits::Rates;
 use crate::live::Live;
 use crate::names::Names;
-use crate::people::People;
+use crate::people::{Caller, People};
 use crate::seat::Seat;
 use crate::standing::Standing;
-use axum::http::StatusCode;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_workbench::{Console, Workbench};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -33,10 +33,12 @@ pub(crate) struct App {
     pub(crate) events: watch::Sender<u64>,
     /// What lies on the stage, as somebody said.
     pub(crate) slide: Mutex<Option<String>>,
-    /// What was told of targets.
-    pub(crate) told: Remembered,
     /// Objectives that are calibrated, with the size of a pixel, um.
     pub(crate) calibrated: Mutex<BTreeMap<ObjectiveId, f64>>,
+    /// What a killed program left, in a sentence.
+    pub(crate) left: Mutex<Option<String>>,
+    /// Who has connections that last, by session or token: their names, and how many.
+    pub(crate) present: Mutex<BTreeMap<String, (String, usize)>>,
     /// By which names browsers may know us.
     pub(crate) names: Names,
     /// A demonstration, whose slide can be taken out and put back.
@@ -47,6 +49,8 @@ pub(crate) struct App {
     pub(crate) revision: AtomicU64,
     /// Until when somebody at another machine may move the instrument.
     pub(crate) elsewhere: Mutex<Option<Instant>>,
+    /// How much each may ask still.
+    pub(crate) rates: Mutex<Rates>,
     /// Connections that last.
     pub(crate) sockets: Arc<Semaphore>,
     /// The server ends.
@@ -65,17 +69,74 @@ pub(crate) struct Demo {
 const SHIFT_UM: f64 = 90.0;
 const TURN_DEG: f64 = 6.0;
 
+/// So many connections that last of one session or token: some stay for the others.
+const SOCKETS_OF_ONE: usize = 48;
+
+/// A connection that lasts, and whose.
+pub(crate) struct Present {
+    _place: OwnedSemaphorePermit,
+    app: Arc<App>,
+    key: String,
+}
+
+impl Drop for Present {
+    fn drop(&mut self) {
+        let mut present = crate::lock(&self.app.present);
+        if let Some((_, count)) = present.get_mut(&self.key) {
+            *count -= 1;
+            if *count == 0 {
+                present.remove(&self.key);
+            }
+        }
+    }
+}
+
 impl App {
     /// A place for one more connection that lasts.
     ///
     /// # Errors
     /// `too_many`.
-    pub(crate) fn socket_place(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+    pub(crate) fn socket_place(self: &Arc<Self>, caller: &Caller) -> Result<Present, ApiError> {
+        let wait = Duration::from_secs(5);
+        let too_many = |message: &str| ApiError::too_many(message, wait);
         let place = self.sockets.clone().try_acquire_owned();
-        place.map_err(|_| {
-            let message = "too many connections: close some";
-            ApiError::new(StatusCode::SERVICE_UNAVAILABLE, "too_many", message)
+        let place = place.map_err(|_| too_many("too many connections: close some"))?;
+        let mut present = crate::lock(&self.present);
+        let of_one = present.entry(caller.key.clone());
+        let (_, count) = of_one.or_insert_with(|| (caller.user.clone(), 0));
+        if *count >= SOCKETS_OF_ONE {
+            return Err(too_many("you have too many connections: close some"));
+        }
+        *count += 1;
+        Ok(Present {
+            _place: place,
+            app: self.clone(),
+            key: caller.key.clone(),
         })
+    }
+
+    /// Who has the page open, or a program that listens: each once.
+    pub(crate) fn who_is_there(&self) -> Vec<String> {
+        let present = crate::lock(&self.present);
+        let names: BTreeSet<&String> = present.values().map(|(user, _)| user).collect();
+        names.into_iter().cloned().collect()
+    }
+
+    /// Reads what a killed program left: asked when that may have changed, as it reads files.
+    pub(crate) fn learn_left(&self) {
+        let left = self.bench.waits().unwrap_or_else(|e| Some(e.to_string()));
+        *crate::lock(&self.left) = left;
+    }
+
+    /// Why this one could start no job that moves the instrument now.
+    pub(crate) fn bars(&self, caller: &Caller) -> Result<(), ApiError> {
+        Need::Move.met_by(Some(caller))?;
+        self.desk.is_free()?;
+        self.seat.is_free_for(caller)?;
+        match crate::lock(&self.left).as_deref() {
+            None => Ok(()),
+            Some(left) => Err(ApiError::unfinished(left)),
+        }
     }
 
     /// Something that is kept has changed.

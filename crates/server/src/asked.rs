@@ -3,7 +3,7 @@
 use crate::error::ApiError;
 use crate::hand::Hand;
 use crate::jog::{Hold, Jog, Map};
-use scopeservo_library::Targets as _;
+use scopeservo_library::{Label, Targets as _, check_slide};
 use scopeservo_protocol::Place;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::Progress;
@@ -60,6 +60,9 @@ pub(crate) enum JobRequest {
         focus: bool,
         #[serde(default)]
         note: String,
+        /// Another than what was said to lie on the stage.
+        #[serde(default)]
+        slide: Option<String>,
     },
     Reposition {
         target: String,
@@ -74,17 +77,28 @@ pub(crate) enum Case {
     Any(Box<AnyJob>),
     Hand(Hand),
     Jog(Jog),
+    /// Saving a view, by a program that was killed after it was kept and before it said so.
+    WasKept,
+}
+
+/// What came of a case.
+#[derive(Debug)]
+pub(crate) enum Done {
+    /// Of a step by hand, nothing more.
+    Nothing,
+    Answer(Box<Answer>),
+    WasKept,
 }
 
 impl UseCase for Case {
-    /// Nothing of a step by hand.
-    type Output = Option<Box<Answer>>;
+    type Output = Done;
 
     fn kind(&self) -> &'static str {
         match self {
             Self::Any(job) => job.kind(),
             Self::Hand(hand) => hand.kind(),
             Self::Jog(jog) => jog.kind(),
+            Self::WasKept => "save_target",
         }
     }
 
@@ -93,20 +107,22 @@ impl UseCase for Case {
             Self::Any(job) => job.can_go_on(),
             Self::Hand(hand) => hand.can_go_on(),
             Self::Jog(jog) => jog.can_go_on(),
+            Self::WasKept => false,
         }
     }
 
     fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<Self::Output>, JobError> {
         let done = |progress| match progress {
-            Progress::Done(()) => Progress::Done(None),
+            Progress::Done(()) => Progress::Done(Done::Nothing),
             Progress::Continue => Progress::Continue,
         };
         Ok(match self {
             Self::Hand(hand) => done(hand.step(work)?),
             Self::Jog(jog) => done(jog.step(work)?),
+            Self::WasKept => Progress::Done(Done::WasKept),
             Self::Any(job) => match job.step(work)? {
                 Progress::Continue => Progress::Continue,
-                Progress::Done(answer) => Progress::Done(Some(Box::new(answer))),
+                Progress::Done(answer) => Progress::Done(Done::Answer(Box::new(answer))),
             },
         })
     }
@@ -200,7 +216,11 @@ impl Wish {
                 objective,
                 focus,
                 note,
-            } => save(bench, name, named(bench, objective)?, (focus, &note)),
+                slide,
+            } => {
+                let label = Label { slide, note };
+                save(bench, name, named(bench, objective)?, focus, &label)
+            }
             JobRequest::Reposition { target } => reposition(bench, target),
             JobRequest::Resume {} => resume(bench),
         }
@@ -308,9 +328,11 @@ fn save(
     bench: &Workbench,
     name: String,
     objective: Option<ObjectiveId>,
-    (focus, note): (bool, &str),
+    focus: bool,
+    label: &Label,
 ) -> Result<Wish, ApiError> {
     bench.library.check_new_target(&name)?;
+    label.slide.as_deref().map_or(Ok(()), check_slide)?;
     let input = SaveTargetInput {
         objective,
         focus: focus.then(FocusOptions::default),
@@ -319,7 +341,7 @@ fn save(
         vision: VisionOptions::default(),
         ..SaveTargetInput::default()
     };
-    let inputs = json!({"name": name, "note": note, "input": input});
+    let inputs = json!({"name": name, "slide": label.slide, "note": label.note, "input": input});
     Wish::job(Request::SaveTarget(input), Some(name), inputs)
 }
 
@@ -384,6 +406,15 @@ fn resume(bench: &Workbench) -> Result<Wish, ApiError> {
     let stored = AnyJob::stored(&left.head.job, step.state.to_string().as_bytes());
     let mut job = stored.map_err(|e| cannot(e.to_string()))?;
     let name = left.head.inputs["name"].as_str().map(str::to_owned);
+    if let (AnyJob::SaveTarget(_), Some(name)) = (&job, &name)
+        && bench.library.target(name).is_ok()
+    {
+        return Ok(Wish {
+            case: Case::WasKept,
+            about: Some(name.clone()),
+            asked: None,
+        });
+    }
     if let Some(id) = job.target_id() {
         let target = kept_target(bench, name.as_deref().unwrap_or_default(), id);
         job = job.with_target(target.map_err(cannot)?);

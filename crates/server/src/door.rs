@@ -1,5 +1,6 @@
 //! Where the command line finds a server that has its instrument: a file that only its owner can read, as long as it is served.
 
+use scopeservo_library::files::{make_folder, replace_private};
 use serde_json::json;
 use std::fs;
 use std::io;
@@ -15,19 +16,10 @@ pub(crate) struct Door(PathBuf);
 impl Door {
     /// Writes where the server is and what opens it.
     pub(crate) fn open(folder: &Path, address: SocketAddr, token: &str) -> io::Result<Self> {
-        scopeservo_library::files::make_folder(folder)?;
+        make_folder(folder)?;
         let path = folder.join(DOOR);
         let text = json!({"address": address.to_string(), "token": token}).to_string();
-        // Nobody else may read it, from the first moment on.
-        let _ = fs::remove_file(&path);
-        let mut options = fs::OpenOptions::new();
-        options.write(true).create_new(true);
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::OpenOptionsExt as _;
-            options.mode(0o600);
-        }
-        io::Write::write_all(&mut options.open(&path)?, text.as_bytes())?;
+        replace_private(&path, text.as_bytes())?;
         Ok(Self(path))
     }
 }

@@ -1,13 +1,14 @@
 //! What is refused over the network: a status, a code and a kind for programs, and a sentence for people.
 
 use axum::Json;
-use axum::http::StatusCode;
+use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use scopeservo_library::LibraryError;
 use scopeservo_scope::ScopeError;
 use scopeservo_servo::{ErrorKind, ServoError};
 use scopeservo_station::{JobError, Refusal};
 use serde::Serialize;
+use std::time::Duration;
 
 /// The body of every answer that is none.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -20,6 +21,9 @@ pub(crate) struct ApiError {
     pub(crate) kind: &'static str,
     /// What it is and what to do, for people.
     pub(crate) message: String,
+    /// When it may be asked again.
+    #[serde(skip)]
+    pub(crate) retry_after: Option<Duration>,
 }
 
 impl ApiError {
@@ -37,6 +41,21 @@ impl ApiError {
             code: code.into(),
             kind,
             message: message.into(),
+            retry_after: None,
+        }
+    }
+
+    /// What a killed program left comes first.
+    pub(crate) fn unfinished(left: &str) -> Self {
+        let message = format!("{left}. Resume it or abandon it first");
+        Self::conflict("unfinished", message)
+    }
+
+    /// Whoever asks is to wait.
+    pub(crate) fn too_many(message: impl Into<String>, wait: Duration) -> Self {
+        Self {
+            retry_after: Some(wait),
+            ..Self::new(StatusCode::TOO_MANY_REQUESTS, "too_many", message)
         }
     }
 
@@ -68,7 +87,14 @@ impl ApiError {
 
 impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
-        (self.status, Json(self)).into_response()
+        let wait = self.retry_after;
+        let mut response = (self.status, Json(self)).into_response();
+        if let Some(wait) = wait {
+            // Whole seconds, and not one too few.
+            let seconds = HeaderValue::from(wait.as_secs_f64().ceil() as u64);
+            response.headers_mut().insert(header::RETRY_AFTER, seconds);
+        }
+        response
     }
 }
 
@@ -92,6 +118,7 @@ impl From<ServoError> for ApiError {
             code: code.unwrap_or_else(|| "failed".into()),
             kind,
             message: error.to_string(),
+            retry_after: None,
         }
     }
 }
@@ -119,6 +146,7 @@ impl From<JobError> for ApiError {
                 code: code.unwrap_or("failed").into(),
                 kind,
                 message: error.to_string(),
+                retry_after: None,
             },
         }
     }
@@ -143,6 +171,9 @@ impl From<LibraryError> for ApiError {
             LibraryError::BadName(_) => (StatusCode::BAD_REQUEST, "bad_name"),
             LibraryError::Taken { .. } => (StatusCode::CONFLICT, "taken"),
             LibraryError::NoTarget { .. } => (StatusCode::NOT_FOUND, "no_target"),
+            LibraryError::NotInBin { .. } => (StatusCode::NOT_FOUND, "not_in_bin"),
+            LibraryError::NoRun { .. } => (StatusCode::NOT_FOUND, "no_run"),
+            LibraryError::Busy { .. } => (StatusCode::SERVICE_UNAVAILABLE, "busy"),
             LibraryError::CannotWrite { .. } | LibraryError::NotKept { .. } => {
                 (StatusCode::SERVICE_UNAVAILABLE, "not_kept")
             }

@@ -2,15 +2,16 @@
 
 use crate::app::App;
 use crate::error::ApiError;
-use crate::names::{Names, host_of};
+use crate::names::Names;
+use crate::peer::{FORWARDED, Peer, Whence};
 use crate::people::{Caller, Role};
 use axum::body::Body;
-use axum::extract::{ConnectInfo, Request, State};
+use axum::extract::{Extension, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// The cookie of a browser that is logged in.
 pub(crate) const COOKIE: &str = "scopeservo";
@@ -29,22 +30,18 @@ const HEADERS: [(&str, &str); 6] = [
     ("cross-origin-resource-policy", "same-origin"),
 ];
 
-/// What proxies add for whom they ask.
-const FORWARDED: [&str; 4] = [
-    "forwarded",
-    "x-forwarded-for",
-    "x-forwarded-host",
-    "x-real-ip",
-];
-
 /// Whether whoever asks sits at this computer. What came through a proxy comes from this computer, too: it is known by the name that was asked
 /// for, by the page that asks, and by what proxies add. When in doubt it comes from elsewhere.
-fn is_here(names: &Names, peer: SocketAddr, headers: &HeaderMap) -> bool {
+fn is_here(names: &Names, peer: &Peer, headers: &HeaderMap) -> bool {
     let host = text(headers, header::HOST).unwrap_or_default();
     let origin = text(headers, header::ORIGIN);
-    peer.ip().is_loopback()
-        && names.is_own(host)
-        && origin.is_none_or(|origin| names.is_own(host_of(origin)))
+    let is_own = |origin| {
+        let host = names.host_of(origin);
+        host.is_some_and(|host| names.is_own(host, peer.at))
+    };
+    peer.is_of_this_computer()
+        && names.is_own(host, peer.at)
+        && origin.is_none_or(is_own)
         && !FORWARDED.iter().any(|name| headers.contains_key(*name))
 }
 
@@ -55,21 +52,30 @@ fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
 /// The first gate: what is refused here has reached nothing.
 pub(crate) async fn guard(
     State(app): State<Arc<App>>,
-    ConnectInfo(peer): ConnectInfo<SocketAddr>,
+    Extension(peer): Extension<Peer>,
     mut request: Request,
     next: Next,
 ) -> Response {
-    let refused = is_ours(&app, &request).err();
+    let refused = is_ours(&app.names, &peer, &request).err();
     let mut response = match refused {
         Some(refused) => refused.into_response(),
         None => {
-            let here = is_here(&app.names, peer, request.headers());
-            if let Some(caller) = known(&app, request.headers(), here) {
-                let near = here || app.elsewhere_for().is_some();
-                let caller = Caller { near, ..caller };
-                request.extensions_mut().insert(caller);
+            let here = is_here(&app.names, &peer, request.headers());
+            let whence = peer.place(request.headers(), here);
+            let caller = known(&app, request.headers(), here);
+            let whose = caller.as_ref().map_or(&whence, |caller| &caller.key);
+            match within_limits(&app, whose, request.uri().path()) {
+                Err(refused) => refused.into_response(),
+                Ok(()) => {
+                    request.extensions_mut().insert(Whence(whence));
+                    if let Some(caller) = caller {
+                        let near = here || app.elsewhere_for().is_some();
+                        let caller = Caller { near, ..caller };
+                        request.extensions_mut().insert(caller);
+                    }
+                    next.run(request).await
+                }
             }
-            next.run(request).await
         }
     };
     for (name, value) in HEADERS {
@@ -84,13 +90,28 @@ pub(crate) async fn guard(
     response
 }
 
+/// Whether so much may be asked. A stop always may, and the word that whoever drives is there still.
+fn within_limits(app: &App, whose: &str, path: &str) -> Result<(), ApiError> {
+    if path.ends_with("/stop") || path == "/api/v1/lease" {
+        return Ok(());
+    }
+    let taken = crate::lock(&app.rates).take(whose, Instant::now());
+    taken.map_err(|wait| {
+        let s = wait.as_secs_f64().ceil();
+        let message = format!(
+            "too many requests in so short a time: wait {s:.0} s, and ask for less at once"
+        );
+        ApiError::too_many(message, wait)
+    })
+}
+
 /// Whether it comes from a page of ours, or from a program, in a form that no other page can send.
-fn is_ours(app: &App, request: &Request<Body>) -> Result<(), ApiError> {
+fn is_ours(names: &Names, peer: &Peer, request: &Request<Body>) -> Result<(), ApiError> {
     let headers = request.headers();
     // HTTP/1.1 has it in the header, a proxy of another kind in the address.
     let host =
         text(headers, header::HOST).or_else(|| request.uri().authority().map(|a| a.as_str()));
-    if !host.is_some_and(|host| app.names.has(host)) {
+    if !host.is_some_and(|host| names.has(host, peer.at)) {
         let message = format!(
             "this server does not go by the name '{}': use the address that it told, or name it with --name",
             host.unwrap_or_default()
@@ -99,7 +120,8 @@ fn is_ours(app: &App, request: &Request<Body>) -> Result<(), ApiError> {
     }
     if let Some(origin) = headers.get(header::ORIGIN) {
         let origin = origin.to_str().unwrap_or_default();
-        if !app.names.has(host_of(origin)) {
+        let host = names.host_of(origin);
+        if !host.is_some_and(|host| names.has(host, peer.at)) {
             let message = format!("a page of '{origin}' may ask nothing here");
             return Err(ApiError::forbidden("wrong_origin", message));
         }
@@ -145,14 +167,18 @@ fn cookie(headers: &HeaderMap) -> Option<&str> {
 }
 
 /// The header that makes a browser remember a session, or forget it.
-pub(crate) fn set_cookie(session: Option<&str>, headers: &HeaderMap) -> [(HeaderName, String); 1] {
+pub(crate) fn set_cookie(
+    session: Option<&str>,
+    peer: &Peer,
+    headers: &HeaderMap,
+) -> [(HeaderName, String); 1] {
     let (session, age) = match session {
         Some(session) => (session, ""),
         None => ("", "; Max-Age=0"),
     };
-    // What came through a proxy with TLS goes by no other way.
+    // What came by TLS, of ours or of a proxy, goes by no other way.
     let origin = text(headers, header::ORIGIN).unwrap_or_default();
-    let secure = match origin.starts_with("https://") {
+    let secure = match peer.by_tls || origin.starts_with("https://") {
         true => "; Secure",
         false => "",
     };
@@ -248,21 +274,22 @@ mod tests {
 
     #[test]
     fn who_comes_through_a_proxy_is_not_here() {
-        let names = Names::of(
-            "127.0.0.1:7070".parse().unwrap(),
-            &["scope-3.lab:443".into()],
-        );
+        let names = Names::of(&[7070], &["scope-3.lab:443".into()], false);
         let headers = |all: &[(&'static str, &str)]| {
             let all = all.iter();
             let all = all.map(|(n, v)| (HeaderName::from_static(n), v.parse().unwrap()));
             all.collect::<HeaderMap>()
         };
-        let peer = "127.0.0.1:50000".parse().unwrap();
+        let peer = |from: &str, at: &str| {
+            let from = format!("{from}:50000").parse().unwrap();
+            Peer::new(from, at.parse().unwrap(), false, &[])
+        };
+        let local = peer("127.0.0.1", "127.0.0.1:7070");
         let own = ("host", "127.0.0.1:7070");
-        assert!(is_here(&names, peer, &headers(&[own])));
+        assert!(is_here(&names, &local, &headers(&[own])));
         assert!(is_here(
             &names,
-            peer,
+            &local,
             &headers(&[own, ("origin", "http://localhost:7070")])
         ));
         for through in [
@@ -272,13 +299,19 @@ mod tests {
             vec![own, ("forwarded", "for=10.0.0.7")],
             vec![],
         ] {
-            assert!(!is_here(&names, peer, &headers(&through)), "{through:?}");
+            assert!(!is_here(&names, &local, &headers(&through)), "{through:?}");
         }
         assert!(!is_here(
             &names,
-            "10.0.0.7:50000".parse().unwrap(),
+            &peer("10.0.0.7", "10.0.0.5:7070"),
             &headers(&[own])
         ));
+        // By its own address in the network, this computer is still this one.
+        let outward = peer("10.0.0.5", "10.0.0.5:7070");
+        let host = ("host", "10.0.0.5:7070");
+        assert!(is_here(&names, &outward, &headers(&[host])));
+        let far = peer("10.0.0.7", "10.0.0.5:7070");
+        assert!(!is_here(&names, &far, &headers(&[host])));
     }
 
     #[test]

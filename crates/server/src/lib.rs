@@ -1,6 +1,6 @@
 //! An instrument at an address: the jobs of the program's commands over REST and WebSocket, and a page to work at (docs/server.md).
 //!
-//! Data flows one way: a connection (`serve`) comes through the guard (`guard`: which address, which origin, who) to a route with the role
+//! Data flows one way: a connection (`listening`) comes through the guard (`guard`: which address, which origin, who) to a route with the role
 //! that it needs (`routes`), and from there to one of five: the desk, where one job at a time is done (`desk`), the seat of whoever may move
 //! the instrument (`seat`), the live view (`live`), how things stand (`standing`), and what is kept (`kept`). Everything moves by a job of
 //! the station. No other crate knows that there is a network.
@@ -20,10 +20,13 @@ mod hand;
 mod instrument;
 mod jog;
 mod kept;
+mod limits;
+mod listening;
 mod live;
 mod look;
 mod names;
 mod page;
+mod peer;
 mod people;
 mod random;
 mod routes;
@@ -32,10 +35,13 @@ mod serve;
 mod socket;
 mod standing;
 mod starting;
+mod tls;
 
 pub use door::DOOR;
+pub use limits::Limits;
 pub use routes::{OPENAPI, routes};
 pub use serve::{Before, ServeError, Server, Settings};
+pub use tls::{Certificate, TlsError};
 
 /// What a panic left behind a lock is whole: every value is replaced in one go.
 pub(crate) fn lock<T: ?Sized>(mutex: &std::sync::Mutex<T>) -> std::sync::MutexGuard<'_, T> {

@@ -77,6 +77,8 @@ pub(crate) fn told(standing: &Standing, app: &App, caller: &Caller) -> Value {
         "owner": app.seat.owner(),
         "mine": app.seat.is_of(&caller.key),
         "asked_by": app.seat.asked_by(),
+        "there": app.who_is_there(),
+        "may_not_start": app.bars(caller).err(),
         "slide": crate::lock(&app.slide).clone(),
         "jobs": recent.collect::<Vec<_>>(),
         "questions": questions.iter().map(question).collect::<Vec<_>>(),

@@ -3,7 +3,7 @@
 use crate::error::ApiError;
 use crate::lock;
 use crate::people::Caller;
-use scopeservo_station::{Lease, Session};
+use scopeservo_station::{Lease, Refusal, Session};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -95,6 +95,29 @@ impl Seat {
             self.sit(&mut inner, &key, &user)?;
         }
         Ok(())
+    }
+
+    /// Whoever has it goes: it is whoever asked for it, or nobody's.
+    pub(crate) fn leave(&self, caller: &Caller) {
+        // Who did not have it leaves nothing.
+        let _ = self.give(caller);
+        let mut inner = lock(&self.inner);
+        inner.asked.take_if(|(key, _)| *key == caller.key);
+    }
+
+    /// Whether this one has it, or could take it.
+    ///
+    /// # Errors
+    /// `held`.
+    pub(crate) fn is_free_for(&self, caller: &Caller) -> Result<(), ApiError> {
+        match self.owner() {
+            Some(owner) if owner != caller.user => Err(Refusal::Held {
+                owner,
+                seconds_left: None,
+            }
+            .into()),
+            _ => Ok(()),
+        }
     }
 
     /// Who drives.

@@ -4,39 +4,34 @@ use crate::app::{App, Demo};
 use crate::audit::Audit;
 use crate::door::Door;
 use crate::grabbing;
+use crate::limits::{Limits, Rates};
+use crate::listening::{Listening, outward};
 use crate::look;
 use crate::names::Names;
 use crate::people::People;
 use crate::routes::router;
 use crate::seat::Seat;
 use crate::standing::Standing;
-use axum::Router;
-use axum::extract::ConnectInfo;
-use hyper::server::conn::http1;
-use hyper_util::rt::{TokioIo, TokioTimer};
-use hyper_util::service::TowerToHyperService;
+use crate::tls::{Certificate, Tls, TlsError};
 use scopeservo_library::Calibrations as _;
 use scopeservo_scope::{Instrument, Length};
 use scopeservo_station::{Bus, MadeCalibration, Parts, Questions};
 use scopeservo_workbench::{Console, Late, Workbench};
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 use thiserror::Error;
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
 use tokio::sync::{Semaphore, watch};
+use tokio_rustls::TlsAcceptor;
 
-/// So many connections at once; one more is closed as it comes.
-const CONNECTIONS: usize = 256;
-/// Of them so many that last.
+/// So many connections that last.
 const SOCKETS: usize = 64;
-/// Who does not say what is wanted within so long is cut off.
-const HEAD: Duration = Duration::from_secs(10);
 /// Threads of the network; those that wait for devices are others.
 const THREADS: usize = 2;
 /// How long connections have to end.
@@ -45,10 +40,16 @@ const ENDING: Duration = Duration::from_secs(2);
 /// How to serve.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Where to listen: a loopback address, port 0 for any that is free.
+    /// Where to listen, port 0 for any that is free: at a loopback address, or by TLS, or for a proxy.
     pub listen: SocketAddr,
-    /// Other names, with a port or without, under which browsers may ask for it: those of a proxy in front of it.
+    /// Other names, with a port or without, under which browsers may ask for it: as others know this computer, or a proxy in front of it.
     pub names: Vec<String>,
+    /// By TLS, with that certificate.
+    pub tls: Option<Certificate>,
+    /// Machines whose word counts for whom they ask. Without TLS no other machine is heard.
+    pub proxies: Vec<IpAddr>,
+    /// How much is taken of one who asks.
+    pub limits: Limits,
     /// A demonstration: one user, nothing kept of users, and a slide that can be taken out and put back.
     pub demo: bool,
     /// Where users and the log of who moved what are kept; nothing is in a demonstration.
@@ -60,7 +61,7 @@ pub struct Settings {
 pub enum ServeError {
     /// An address that others can reach.
     #[error(
-        "{0} can be reached from other machines, and what is sent there can be read on the way: listen at a loopback address like 127.0.0.1:7070, and let a proxy with TLS on this machine pass on what comes from outside"
+        "{0} can be reached from other machines, and what is sent there can be read on the way: add --tls, or --proxy with the address of a proxy that speaks TLS for it, or listen at a loopback address like 127.0.0.1:7070"
     )]
     NotLoopback(SocketAddr),
     /// The address cannot be had.
@@ -71,6 +72,9 @@ pub enum ServeError {
         /// What the system says.
         source: io::Error,
     },
+    /// TLS cannot be spoken.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
     /// The system lacks something.
     #[error("the server cannot begin: {0}")]
     System(#[from] io::Error),
@@ -108,6 +112,7 @@ impl Default for Before {
 pub struct Server {
     app: Arc<App>,
     address: SocketAddr,
+    fingerprint: Option<String>,
     runtime: Option<Runtime>,
     threads: Vec<JoinHandle<()>>,
     _door: Option<Door>,
@@ -123,34 +128,58 @@ impl Server {
         before: Before,
         settings: &Settings,
     ) -> Result<Self, ServeError> {
-        if !settings.listen.ip().is_loopback() {
+        let is_private = settings.listen.ip().is_loopback() || settings.tls.is_some();
+        if !is_private && settings.proxies.is_empty() {
             return Err(ServeError::NotLoopback(settings.listen));
         }
+        let tls = settings.tls.as_ref().map(|whose| {
+            let names = names_of(settings);
+            Tls::with(whose, &settings.folder, &names, SystemTime::now())
+        });
+        let tls = tls.transpose()?;
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(THREADS)
             .enable_all()
             .build()?;
-        let taken = runtime.block_on(TcpListener::bind(settings.listen));
-        let listener = taken.map_err(|source| ServeError::Address {
-            address: settings.listen,
-            source,
-        })?;
+        let bind = |address: SocketAddr| {
+            let taken = runtime.block_on(TcpListener::bind(address));
+            taken.map_err(|source| ServeError::Address { address, source })
+        };
+        let listener = bind(settings.listen)?;
         let address = listener.local_addr()?;
-        let app = Arc::new(app(bench, before, settings, address)?);
+        // The command line at this computer comes without TLS, by loopback.
+        let inside = match tls {
+            None => None,
+            Some(_) => Some(bind((Ipv4Addr::LOCALHOST, 0).into())?),
+        };
+        let mut at = reached_here(address);
+        let mut ports = vec![address.port()];
+        if let Some(inside) = &inside {
+            at = inside.local_addr()?;
+            ports.push(at.port());
+        }
+        let names = Names::of(&ports, &settings.names, tls.is_some());
+        let app = Arc::new(app(bench, before, settings, names)?);
         app.learn_calibrated();
+        app.learn_left();
         let door = match settings.demo {
             true => None,
-            false => Some(Door::open(
-                &settings.folder,
-                address,
-                app.people.terminal(),
-            )?),
+            false => Some(Door::open(&settings.folder, at, app.people.terminal())?),
         };
         let threads = spawn(&app)?;
-        runtime.spawn(accept(listener, router(&app)));
+        let listening =
+            Listening::new(router(&app), &settings.proxies, settings.limits.connections);
+        if let Some(inside) = inside {
+            runtime.spawn(listening.clone().accept(inside, None));
+        }
+        let acceptor = tls
+            .as_ref()
+            .map(|tls| TlsAcceptor::from(tls.config.clone()));
+        runtime.spawn(listening.accept(listener, acceptor));
         Ok(Self {
             app,
             address,
+            fingerprint: tls.map(|tls| tls.fingerprint),
             runtime: Some(runtime),
             threads,
             _door: door,
@@ -164,9 +193,29 @@ impl Server {
 
     /// What somebody at this machine opens: with the key that lets the first one in, where nobody is known yet.
     pub fn link(&self) -> String {
+        let at = self.url(reached_here(self.address));
         match self.app.people.key() {
-            Some(key) => format!("http://{}/#key={key}", self.address),
-            None => format!("http://{}/", self.address),
+            Some(key) => format!("{at}#key={key}"),
+            None => at,
+        }
+    }
+
+    /// What somebody at another machine opens, where others reach it.
+    pub fn outside(&self) -> Option<String> {
+        let ip = outside_ip(self.address.ip())?;
+        let by_tls = self.fingerprint.is_some();
+        by_tls.then(|| self.url(SocketAddr::new(ip, self.address.port())))
+    }
+
+    /// The SHA-256 checksum of the certificate, as browsers show it.
+    pub fn fingerprint(&self) -> Option<&str> {
+        self.fingerprint.as_deref()
+    }
+
+    fn url(&self, at: SocketAddr) -> String {
+        match self.fingerprint {
+            Some(_) => format!("https://{at}/"),
+            None => format!("http://{at}/"),
         }
     }
 
@@ -210,11 +259,48 @@ impl Drop for Server {
     }
 }
 
-fn app(
+/// Where this computer itself reaches it.
+fn reached_here(address: SocketAddr) -> SocketAddr {
+    match address.ip().is_unspecified() {
+        true => (Ipv4Addr::LOCALHOST, address.port()).into(),
+        false => address,
+    }
+}
+
+/// By which address others reach it.
+fn outside_ip(listen: IpAddr) -> Option<IpAddr> {
+    match listen.is_unspecified() {
+        true => outward().ok().filter(|ip| !ip.is_loopback()),
+        false => Some(listen).filter(|ip| !ip.is_loopback()),
+    }
+}
+
+/// What a certificate of ours is for.
+fn names_of(settings: &Settings) -> Vec<String> {
+    let mut names = ["localhost", "127.0.0.1", "::1"]
+        .map(str::to_owned)
+        .to_vec();
+    names.extend(outside_ip(settings.listen.ip()).map(|ip| ip.to_string()));
+    // Without the port, and the brackets of IPv6.
+    names.extend(settings.names.iter().map(|name| {
+        match name.strip_prefix('[') {
+            Some(rest) => rest.split(']').next().unwrap_or_default().to_owned(),
+            None => name
+                .split(':')
+                .next()
+                .unwrap_or_default()
+                .to_ascii_lowercase(),
+        }
+    }));
+    names
+}
+
+/// What all connections share, of an instrument.
+pub(crate) fn app(
     bench: Workbench,
     before: Before,
     settings: &Settings,
-    address: SocketAddr,
+    names: Names,
 ) -> Result<App, ServeError> {
     let file = settings.folder.join("people.json");
     let people = People::open(file.clone(), settings.demo);
@@ -248,13 +334,18 @@ fn app(
         standing: watch::channel(Arc::new(Standing::unknown())).0,
         events,
         slide: Mutex::new(None),
-        told: Default::default(),
         calibrated: Mutex::default(),
-        names: Names::of(address, &settings.names),
+        left: Mutex::default(),
+        present: Mutex::default(),
+        names,
         demo,
         stops: AtomicU64::new(0),
         revision: AtomicU64::new(0),
         elsewhere: Mutex::new(None),
+        rates: Mutex::new(Rates::new(
+            settings.limits.requests_per_s,
+            settings.limits.requests_at_once,
+        )),
         sockets: Arc::new(Semaphore::new(SOCKETS)),
         ends: AtomicBool::new(false),
         bench,
@@ -275,34 +366,4 @@ fn spawn(app: &Arc<App>) -> io::Result<Vec<JoinHandle<()>>> {
         thread.spawn(move || run(&app))
     });
     begun.collect()
-}
-
-/// Takes connections as they come, so many at once.
-async fn accept(listener: TcpListener, router: Router) {
-    let places = Arc::new(Semaphore::new(CONNECTIONS));
-    loop {
-        let (stream, peer) = match listener.accept().await {
-            Ok(taken) => taken,
-            // Too many files, or one who went before: the next one may do better.
-            Err(_) => {
-                tokio::time::sleep(Duration::from_millis(50)).await;
-                continue;
-            }
-        };
-        let Ok(place) = places.clone().try_acquire_owned() else {
-            continue;
-        };
-        let _ = stream.set_nodelay(true);
-        let router = router.clone().layer(axum::Extension(ConnectInfo(peer)));
-        tokio::spawn(async move {
-            let served = http1::Builder::new()
-                .timer(TokioTimer::new())
-                .header_read_timeout(HEAD)
-                .serve_connection(TokioIo::new(stream), TowerToHyperService::new(router))
-                .with_upgrades();
-            // Whoever hangs up in the middle is gone.
-            let _ = served.await;
-            drop(place);
-        });
-    }
 }

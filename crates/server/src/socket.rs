@@ -4,12 +4,14 @@ use crate::app::App;
 use crate::error::ApiError;
 use crate::guard::Need;
 use crate::jog::Way;
+use crate::limits::Rates;
 use crate::live::{Live, Watching};
 use crate::look;
 use crate::people::Caller;
 use crate::starting;
 use axum::body::Bytes;
 use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
+use axum::http::StatusCode;
 use scopeservo_station::{Heard, Listener};
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -28,6 +30,9 @@ const DRAW: Duration = Duration::from_millis(4);
 const PING: Duration = Duration::from_secs(5);
 /// How things stand is told as often, when nothing changes.
 const STANDING: Duration = Duration::from_secs(1);
+/// So many messages of one that lasts in a second, and at once.
+const SAID_PER_S: f64 = 50.0;
+const SAID_AT_ONCE: f64 = 200.0;
 /// So many events at once, then frames have their turn.
 const EVENTS: usize = 50;
 
@@ -45,6 +50,16 @@ enum Said {
     Ping { n: Value },
 }
 
+impl Said {
+    /// What moves, stops and keeps going is always heard.
+    fn is_vital(&self) -> bool {
+        !matches!(
+            self,
+            Self::Watch { .. } | Self::From { .. } | Self::Ping { .. }
+        )
+    }
+}
+
 struct Client {
     app: Arc<App>,
     caller: Caller,
@@ -55,6 +70,8 @@ struct Client {
     /// The frame that is being drawn, and since when.
     sent: Option<(u64, Instant)>,
     last_frame: Instant,
+    /// What it may say still, but for what moves, stops, and keeps going.
+    rates: Rates,
     /// The stops that there had been when nothing was held last.
     stops: u64,
 }
@@ -70,6 +87,7 @@ pub(crate) async fn serve(app: Arc<App>, caller: Caller, mut socket: WebSocket) 
         gap: Duration::ZERO,
         sent: None,
         last_frame: Instant::now(),
+        rates: Rates::new(SAID_PER_S, SAID_AT_ONCE),
         stops: app.stops.load(Ordering::SeqCst),
         app,
         caller,
@@ -119,7 +137,10 @@ impl Client {
                     self.tell_standing(socket).await?;
                 }
                 _ = ping.tick() => send(socket, Message::Ping(Bytes::new())).await?,
-                _ = often.tick() => self.tell_standing(socket).await?,
+                _ = often.tick() => {
+                    self.is_somebody(socket).await?;
+                    self.tell_standing(socket).await?;
+                }
                 changed = events.changed() => {
                     changed.map_err(|_| Gone)?;
                     self.tell_events(socket).await?;
@@ -127,6 +148,17 @@ impl Client {
                 _ = draw.tick(), if self.watching.is_some() => self.show(socket).await?,
             }
         }
+    }
+
+    /// Who logged out, or was taken out, hears nothing more.
+    async fn is_somebody(&self, socket: &mut WebSocket) -> Result<(), Gone> {
+        if self.app.people.knows(&self.caller) {
+            return Ok(());
+        }
+        let message = "this session has ended: log in again";
+        let ended = ApiError::new(StatusCode::UNAUTHORIZED, "not_logged_in", message);
+        refuse(socket, ended).await?;
+        Err(Gone)
     }
 
     async fn tell_standing(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
@@ -178,6 +210,12 @@ impl Client {
             Ok(said) => said,
             Err(error) => return refuse(socket, ApiError::input(error.to_string())).await,
         };
+        if !said.is_vital()
+            && let Err(wait) = self.rates.take("", Instant::now().into_std())
+        {
+            let message = "too many messages in so short a time: say less at once";
+            return refuse(socket, ApiError::too_many(message, wait)).await;
+        }
         match said {
             Said::Watch { fps } => self.watch(fps),
             Said::Ack { seq } => {
@@ -212,6 +250,7 @@ impl Client {
                 return refuse(socket, ApiError::conflict("stopped", message)).await;
             }
             Said::Jog(way) => {
+                self.is_somebody(socket).await?;
                 let near = self.caller.here || self.app.elsewhere_for().is_some();
                 self.caller.near = near;
                 let begun = match Need::Move.met_by(Some(&self.caller)) {

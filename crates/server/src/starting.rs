@@ -23,8 +23,11 @@ pub(crate) fn start(app: &Arc<App>, caller: &Caller, wish: Wish) -> Result<JobId
     let (entry, (task, job)) = app.desk.put(|| {
         let is_new = asked.as_ref().is_some_and(|asked| !asked.resumed);
         if let (true, Some(standing)) = (is_new, app.bench.waits()?) {
-            let message = format!("{standing}. Resume it or abandon it first");
-            return Err(ApiError::conflict("unfinished", message));
+            return Err(ApiError::unfinished(&standing));
+        }
+        if asked.is_some() {
+            // What cannot be kept is not begun.
+            app.bench.library.try_room()?;
         }
         let lease = app.seat.take(caller)?;
         let asked = asked.map(|asked| with_names(app, caller, asked));
@@ -74,7 +77,9 @@ pub(crate) fn start(app: &Arc<App>, caller: &Caller, wish: Wish) -> Result<JobId
 fn with_names(app: &App, caller: &Caller, mut asked: Asked) -> Asked {
     if !asked.resumed {
         asked.inputs["user"] = json!(caller.user);
-        asked.inputs["slide"] = json!(*lock(&app.slide));
+        if asked.inputs["slide"].is_null() {
+            asked.inputs["slide"] = json!(*lock(&app.slide));
+        }
     }
     asked
 }

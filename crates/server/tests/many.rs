@@ -2,11 +2,13 @@
 
 mod common;
 
-use common::{Bench, HURRIED, PATIENCE, REAL};
-use serde_json::json;
+use common::{Bench, Client, HURRIED, PATIENCE, REAL};
+use serde_json::{Value, json};
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tempfile::TempDir;
 
 #[test]
 fn who_says_nothing_is_cut_off_and_keeps_nobody_away_for_ever() {
@@ -90,11 +92,43 @@ fn sleepers_and_slow_readers_cost_the_brisk_one_nothing() {
 
 #[test]
 fn a_killed_job_is_told_and_goes_on_or_is_abandoned() {
-    let folder = std::sync::Arc::new(tempfile::TempDir::new().unwrap());
+    let folder = Arc::new(TempDir::new().unwrap());
     let bench = Bench::new(HURRIED, true, folder.clone());
+    let job = json!({"job": "calibrate", "objectives": ["40x"]});
+    let bench = killed(bench, &folder, &job, |_| {});
     let visitor = bench.visitor();
-    let id = visitor.start(&json!({"job": "calibrate", "objectives": ["40x"]}));
-    // What a program that is killed between two steps leaves: its journal as it stands while the job waits.
+    let left = visitor.get("/api/v1/instrument").json()["left"].clone();
+    assert!(left.as_str().unwrap().contains("calibrate"), "{left}");
+    let bars = visitor.state()["may_not_start"].clone();
+    assert_eq!(bars["code"], "unfinished", "{bars}");
+    let other = visitor.post("/api/v1/jobs", &json!({"job": "focus"}));
+    assert_eq!((other.status, other.code().as_str()), (409, "unfinished"));
+    // A step by hand is no obstacle, and bars none.
+    visitor.run(&json!({"job": "objective", "objective": "10x"}));
+    assert_eq!(visitor.post("/api/v1/abandon", &json!({})).status, 200);
+    assert_eq!(
+        visitor.get("/api/v1/instrument").json()["left"],
+        json!(null)
+    );
+    assert_eq!(visitor.state()["may_not_start"], json!(null));
+    assert_eq!(
+        visitor
+            .post("/api/v1/jobs", &json!({"job": "resume"}))
+            .code(),
+        "nothing_left"
+    );
+}
+
+/// The same served again, by another program, after one that was killed between two steps of that job: its journal is as it stands while the job
+/// waits. `meanwhile` is done after that.
+fn killed(
+    bench: Bench,
+    folder: &Arc<TempDir>,
+    job: &Value,
+    meanwhile: impl FnOnce(&Client),
+) -> Bench {
+    let visitor = bench.visitor();
+    let id = visitor.start(job);
     let journal = folder.path().join("scopeservo-data/journal");
     let copy = folder.path().join("copy");
     let began = Instant::now();
@@ -111,27 +145,46 @@ fn a_killed_job_is_told_and_goes_on_or_is_abandoned() {
     copied(&journal, &copy);
     visitor.post("/api/v1/stop", &json!({}));
     visitor.ended(id);
+    meanwhile(&visitor);
     drop(bench);
     copied(&copy, &journal);
-    let bench = Bench::new(HURRIED, true, folder);
+    Bench::new(HURRIED, true, folder.clone())
+}
+
+#[test]
+fn a_view_that_was_kept_before_the_program_was_killed_is_told_as_kept() {
+    let folder = Arc::new(TempDir::new().unwrap());
+    let bench = Bench::new(HURRIED, true, folder.clone());
+    let save = json!({"job": "save_target", "name": "mitosis-3", "focus": true});
+    let bench = killed(bench, &folder, &save, |visitor| {
+        assert_eq!(visitor.run(&save)["error"], json!(null));
+    });
     let visitor = bench.visitor();
-    let left = visitor.get("/api/v1/instrument").json()["left"].clone();
-    assert!(left.as_str().unwrap().contains("calibrate"), "{left}");
-    let other = visitor.post("/api/v1/jobs", &json!({"job": "focus"}));
-    assert_eq!((other.status, other.code().as_str()), (409, "unfinished"));
-    // A step by hand is no obstacle, and bars none.
-    visitor.run(&json!({"job": "objective", "objective": "10x"}));
-    assert_eq!(visitor.post("/api/v1/abandon", &json!({})).status, 200);
+    let bars = visitor.state()["may_not_start"].clone();
+    assert_eq!(bars["code"], "unfinished", "{bars}");
+    let resumed = visitor.run(&json!({"job": "resume"}));
+    assert_eq!(resumed["error"], json!(null), "{resumed}");
+    assert_eq!(resumed["kind"], "save_target");
+    let answer = &resumed["answer"];
     assert_eq!(
-        visitor.get("/api/v1/instrument").json()["left"],
-        json!(null)
+        (&answer["name"], &answer["was_kept"]),
+        (&json!("mitosis-3"), &json!(true)),
+        "{answer}"
     );
+    assert!(answer["features"].as_u64().unwrap() > 0, "{answer}");
+    // Nothing waits any more, and there is one of it.
+    assert_eq!(visitor.state()["may_not_start"], json!(null));
     assert_eq!(
         visitor
-            .post("/api/v1/jobs", &json!({"job": "resume"}))
-            .code(),
-        "nothing_left"
+            .get("/api/v1/targets")
+            .json()
+            .as_array()
+            .unwrap()
+            .len(),
+        1
     );
+    let again = visitor.post("/api/v1/jobs", &json!({"job": "resume"}));
+    assert_eq!(again.code(), "nothing_left");
 }
 
 fn copied(from: &std::path::Path, to: &std::path::Path) {

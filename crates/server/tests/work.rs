@@ -145,6 +145,9 @@ fn one_job_at_a_time_and_a_stop_ends_it_for_whoever_asks() {
     let id = visitor.start(&json!({"job": "move", "to": {"x_um": 9000.0, "z_um": -2900.0}}));
     let busy = visitor.post("/api/v1/jobs", &json!({"job": "home"}));
     assert_eq!((busy.status, busy.code().as_str()), (409, "busy"));
+    let bars = visitor.state()["may_not_start"].clone();
+    assert_eq!(bars["code"], "busy", "{bars}");
+    assert_eq!(bars["message"], busy.json()["message"]);
     assert_eq!(
         visitor.post("/api/v1/exposure", &json!({"ms": 5.0})).code(),
         "busy"

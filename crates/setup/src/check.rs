@@ -211,6 +211,13 @@ fn settings(config: &Config) -> Result<(), SetupError> {
     above("arrival", "within_um", config.arrival.within_um)?;
     above("arrival", "within_deg", config.arrival.within_deg)?;
     above("camera", "exposure_ms", config.camera.exposure_ms)?;
+    let frames_gb = config.library.frames_gb;
+    if !(frames_gb >= 0.0 && frames_gb.is_finite()) {
+        return Err(config.senseless(
+            &["library", "frames_gb"],
+            format!("library.frames_gb is {frames_gb}: it must be 0 or more"),
+        ));
+    }
     match config.light.level {
         Some(level) if !(0.0..=1.0).contains(&level) => Err(config.senseless(
             &["light", "level"],

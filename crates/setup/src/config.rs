@@ -55,6 +55,9 @@ pub struct Config {
     /// Where calibrations and targets are kept, from the folder of this file on.
     #[serde(default = "data_folder")]
     pub data_folder: PathBuf,
+    /// What is kept for how long.
+    #[serde(default)]
+    pub library: LibraryConfig,
     /// The file itself.
     #[serde(skip)]
     pub path: PathBuf,
@@ -65,6 +68,20 @@ pub struct Config {
 
 fn data_folder() -> PathBuf {
     "scopeservo-data".into()
+}
+
+/// What is kept for how long.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LibraryConfig {
+    /// So much the frames and reports of runs take, 10^9 bytes; those of the oldest go first.
+    pub frames_gb: f64,
+}
+
+impl Default for LibraryConfig {
+    fn default() -> Self {
+        Self { frames_gb: 20.0 }
+    }
 }
 
 /// How a driver is found: exactly one of the keys, but that a secret belongs to `tcp`.

@@ -29,6 +29,7 @@ name = "my microscope"
 # Where calibrations and saved targets are kept, from this folder on.
 # data_folder = "scopeservo-data"
 
+
 # "box": each axis has its whole travel. "ellipsoid": the axes share it, as those of a hexapod do.
 # workspace = "ellipsoid"
 
@@ -105,6 +106,10 @@ nosepiece = "main"                # a driver, or "by-hand" (you are asked to tur
 # [arrival]
 # within_um = 1.5
 # within_deg = 5                  # also of what the stage cannot turn
+
+# Reports of the oldest runs go when all of them take more than this, 10^9 bytes; what happened in them never goes.
+# [library]
+# frames_gb = 20
 "#;
 
 /// For the simulated microscope.

@@ -1,7 +1,7 @@
 //! The journal of the job under way, in the library; and what is told of one that was killed.
 
 use scopeservo_library::{
-    CalibrationSets as _, Calibrations as _, Cameras as _, Folder, Journal as _, JournalHead,
+    CalibrationSets as _, Calibrations as _, Cameras as _, Database, Journal as _, JournalHead,
     JournalStep, Journalled, LibraryError, Nosepieces as _, utc,
 };
 use scopeservo_scope::{Axis, Instrument, Length, StagePose};
@@ -33,7 +33,7 @@ pub struct Made {
 
 /// Keeps what a station's jobs are at in a library.
 pub struct FileJournal {
-    library: Arc<Folder>,
+    library: Arc<Database>,
     instrument: String,
     scope: Weak<Instrument>,
     at_work: Mutex<AtWork>,
@@ -52,7 +52,7 @@ struct AtWork {
 
 impl FileJournal {
     /// The journal of an instrument of that name.
-    pub fn new(library: &Arc<Folder>, instrument: &str, scope: &Arc<Instrument>) -> Self {
+    pub fn new(library: &Arc<Database>, instrument: &str, scope: &Arc<Instrument>) -> Self {
         Self {
             library: library.clone(),
             instrument: instrument.into(),
@@ -332,7 +332,7 @@ mod tests {
     #[test]
     fn a_job_is_in_the_journal_until_its_answer_is_kept() {
         let dir = tempfile::tempdir().unwrap();
-        let library = Arc::new(Folder::new(dir.path().into()));
+        let library = Arc::new(Database::new(dir.path().into()));
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
         let twin = Twin::new(Config::noiseless(), Arc::new(Tissue::new(1)), 1, clock).unwrap();
         let scope = Instrument::new(twin.devices(), twin.rules(), CancelToken::new()).unwrap();

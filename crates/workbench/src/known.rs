@@ -1,7 +1,7 @@
 //! What the library knows of an instrument that was opened.
 
 use scopeservo_library::{
-    CalibrationSets as _, Cameras as _, Folder, LibraryError, Nosepieces as _,
+    CalibrationSets as _, Cameras as _, Database, LibraryError, Nosepieces as _,
 };
 use scopeservo_scope::{Instrument, Length, ObjectiveId};
 use scopeservo_servo::{Parcentric, SwitchingReport};
@@ -17,14 +17,14 @@ pub(crate) fn or_warn<T>(what: Result<T, LibraryError>, warn: Warn<'_>) -> Optio
 }
 
 /// The instrument learns what lay on the camera when it was seen last.
-pub(crate) fn shadows(config: &Config, library: &Folder, scope: &Instrument, warn: Warn<'_>) {
+pub(crate) fn shadows(config: &Config, library: &Database, scope: &Instrument, warn: Warn<'_>) {
     let info = scope.camera().info();
     let seen = library.shadows(&config.name, [info.width, info.height]);
     scope.set_flat_field(or_warn(seen, warn).flatten().map(Arc::new));
 }
 
 /// Where objectives look beside each other, by calibrations that were made together.
-pub(crate) fn parcentric(config: &Config, library: &Folder, warn: Warn<'_>) -> Vec<Parcentric> {
+pub(crate) fn parcentric(config: &Config, library: &Database, warn: Warn<'_>) -> Vec<Parcentric> {
     let set = or_warn(library.calibration_set(&config.name), warn);
     set.flatten().map_or(Vec::new(), |kept| kept.set.parcentric)
 }
@@ -32,7 +32,7 @@ pub(crate) fn parcentric(config: &Config, library: &Folder, warn: Warn<'_>) -> V
 /// What was kept of the nosepiece, of objectives that it carries; the instrument learns how high they focus beside each other.
 pub(crate) fn switchings(
     config: &Config,
-    library: &Folder,
+    library: &Database,
     scope: &Instrument,
     warn: Warn<'_>,
 ) -> Vec<SwitchingReport> {

@@ -16,5 +16,5 @@ mod workbench;
 pub use console::{Console, Late, Told};
 pub use journal::{Asked, FileJournal, Made, contradiction, standing, what};
 pub use page::readable;
-pub use record::RunRecord;
+pub use record::{RunRecord, label_of};
 pub use workbench::{OpenError, Workbench};

@@ -1,15 +1,16 @@
 //! What a job told and answered, in the library; and the end of its journal after that.
 
 use crate::{Asked, FileJournal, Made, Workbench};
-use scopeservo_library::{LibraryError, RunHead, RunLog, Runs as _};
+use scopeservo_library::{Database, Label, LibraryError, RunHead, RunLog, Runs as _};
 use scopeservo_station::Record;
 use serde_json::Value;
-use std::path::Path;
 use std::sync::Arc;
 
 /// The record of a job under way. A library that takes none does not keep the job from its work.
 pub struct RunRecord {
     log: Option<Box<dyn RunLog>>,
+    library: Arc<Database>,
+    frames_bytes: u64,
     journal: Arc<FileJournal>,
 }
 
@@ -27,8 +28,24 @@ impl Workbench {
             Ok(log) => (Some(log), None),
             Err(lost) => (None, Some(lost)),
         };
-        let journal = self.journal.clone();
-        (RunRecord { log, journal }, lost)
+        let record = RunRecord {
+            log,
+            library: self.library.clone(),
+            frames_bytes: (1e9 * self.config.library.frames_gb) as u64,
+            journal: self.journal.clone(),
+        };
+        (record, lost)
+    }
+}
+
+/// What is said of a target, by what its saving was asked.
+pub fn label_of(inputs: &Value) -> Label {
+    Label {
+        slide: inputs["slide"]
+            .as_str()
+            .filter(|s| !s.is_empty())
+            .map(Into::into),
+        note: inputs["note"].as_str().unwrap_or_default().into(),
     }
 }
 
@@ -40,9 +57,9 @@ impl RunRecord {
         }
     }
 
-    /// Where it lies, if it does.
-    pub fn place(&self) -> Option<&Path> {
-        self.log.as_ref().map(|log| log.place())
+    /// By what it is asked for later, if it is kept.
+    pub fn id(&self) -> Option<&str> {
+        self.log.as_ref().map(|log| log.id())
     }
 
     /// What the job made so far, and where that is kept.
@@ -61,6 +78,9 @@ impl RunRecord {
             lost.extend(log.end(answer).err());
         }
         lost.extend(self.journal.close().err());
+        // Room for the next ones.
+        let within = self.library.keep_frames_within(self.frames_bytes);
+        lost.extend(within.err());
         lost
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::journal::{self, FileJournal};
 use crate::known;
-use scopeservo_library::{Folder, Journal as _, Journalled, LibraryError};
+use scopeservo_library::{Database, Journal as _, Journalled, LibraryError};
 use scopeservo_scope::{CancelToken, GateEvent, Instrument};
 use scopeservo_servo::{Parcentric, SwitchingReport};
 use scopeservo_setup::{Config, Consent, Held, Opened, SetupError, connect};
@@ -16,7 +16,7 @@ pub struct Workbench {
     /// The description.
     pub config: Config,
     /// What is kept.
-    pub library: Arc<Folder>,
+    pub library: Arc<Database>,
     /// The instrument.
     pub scope: Arc<Instrument>,
     /// The simulated microscope, where it is one of this process.
@@ -57,7 +57,11 @@ impl Workbench {
         mut warn: impl FnMut(LibraryError),
     ) -> Result<Self, OpenError> {
         let held = Held::data(&config)?;
-        let library = Arc::new(Folder::new(config.resolve(&config.data_folder)));
+        let library = Arc::new(Database::new(config.resolve(&config.data_folder)));
+        library
+            .take_in(&mut |_, _| {})?
+            .into_iter()
+            .for_each(&mut warn);
         let Opened {
             instrument,
             twin,

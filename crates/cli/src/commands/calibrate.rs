@@ -29,7 +29,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
         ));
     }
     // Before anything moves, and before it is opened.
-    library_of(&args.instrument.description)?.try_calibrations(&[])?;
+    library_of(&args.instrument.description, answer)?.try_calibrations(&[])?;
     try_out(&args.report.out)?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;

@@ -21,16 +21,22 @@ pub(crate) use save_target::save_target;
 
 use crate::answer::Answer;
 use crate::args::ConfigArgs;
+use crate::bar;
 use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
-use scopeservo_library::Folder;
+use scopeservo_library::Database;
 use scopeservo_servo::Calibration;
 use scopeservo_setup::Config;
 
-/// Where the instrument's calibrations and targets are kept.
-pub(crate) fn library_of(description: &ConfigArgs) -> Result<Folder, CliError> {
+/// Where the instrument's calibrations and targets are kept. What files of an earlier version lie there is taken in.
+pub(crate) fn library_of(description: &ConfigArgs, answer: &Answer) -> Result<Database, CliError> {
     let config = Config::read(&description.config)?;
-    Ok(Folder::new(config.resolve(&config.data_folder)))
+    let library = Database::new(config.resolve(&config.data_folder));
+    let shown = bar::Parts::new("taking in what an earlier version kept");
+    for wrong in library.take_in(&mut |done, all| shown.done(done, all))? {
+        answer.or_warn::<()>(Err(wrong));
+    }
+    Ok(library)
 }
 
 /// The calibrations that this instrument and camera made. One that is damaged is measured again on the way.

@@ -7,14 +7,14 @@ use crate::commands::library_of;
 use crate::error::{CliError, Code};
 use crate::open_instrument::OpenInstrument;
 use crate::views::try_out;
-use scopeservo_library::{Folder, Journal as _, LibraryError, Targets as _};
+use scopeservo_library::{Database, Journal as _, LibraryError, Targets as _};
 use scopeservo_setup::{Config, Held};
 use scopeservo_station::jobs::AnyJob;
 use scopeservo_workbench::{self as workbench, Asked};
 use serde_json::json;
 
 pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.instrument.description)?;
+    let library = library_of(&args.instrument.description, answer)?;
     let config = Config::read(&args.instrument.description.config)?;
     if library.journal(&config.name)?.is_none() {
         return Err(CliError::Usage(
@@ -78,7 +78,7 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
 }
 
 pub(crate) fn abandon(args: &AbandonArgs, answer: &Answer) -> Result<bool, CliError> {
-    let library = library_of(&args.kept.description)?;
+    let library = library_of(&args.kept.description, answer)?;
     let config = Config::read(&args.kept.description.config)?;
     // One that is at work is no business of ours.
     let _held = Held::data(&config)?;
@@ -101,7 +101,7 @@ pub(crate) fn abandon(args: &AbandonArgs, answer: &Answer) -> Result<bool, CliEr
 
 /// Nobody can go on with a journal that cannot be read, and whoever wants to know what it was has it still.
 fn set_aside(
-    library: &Folder,
+    library: &Database,
     instrument: &str,
     damaged: LibraryError,
     answer: &Answer,

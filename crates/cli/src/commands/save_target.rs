@@ -7,16 +7,18 @@ use crate::error::{CliError, Code};
 use crate::open_instrument::OpenInstrument;
 use crate::output;
 use crate::progress::Watcher;
-use scopeservo_library::Targets as _;
+use scopeservo_library::{Label, NewTarget, Targets as _, check_slide};
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{Event, Target, VisionOptions};
 use scopeservo_station::jobs::{SaveTargetInput, SaveTargetJob, SaveTargetOutput};
-use scopeservo_workbench::Asked;
+use scopeservo_workbench::{Asked, label_of};
 use serde_json::json;
 
 pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool, CliError> {
     let focusing = args.focusing.options()?;
-    library_of(&args.instrument.description)?.check_new_target(&args.name)?;
+    let library = library_of(&args.instrument.description, answer)?;
+    library.check_new_target(&args.name)?;
+    args.slide.as_deref().map_or(Ok(()), check_slide)?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
     let input = SaveTargetInput {
@@ -28,7 +30,7 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
         vision: VisionOptions::default(),
     };
     let asked = Asked {
-        inputs: json!({"name": args.name, "input": input}),
+        inputs: json!({"name": args.name, "slide": args.slide, "note": args.note, "input": input}),
         ..Asked::default()
     };
     run(
@@ -49,11 +51,12 @@ pub(super) fn run(
     answer: &Answer,
 ) -> Result<bool, CliError> {
     let before = opened.scope.flat_field();
+    let label = label_of(&asked.inputs);
     let mut watcher = Watcher::new(None);
     let ran = opened.run(job, asked, &mut watcher, answer)?;
     warn_of_blur(&watcher, answer);
     let kept = match &ran.output {
-        Ok(output) => keep(opened, name, output, answer),
+        Ok(output) => keep(opened, (name, &label), output, answer),
         Err(_) => Ok(()),
     };
     let seen = opened.scope.flat_field();
@@ -120,7 +123,7 @@ fn tell(name: &str, target: &Target, opened: &OpenInstrument, answer: &Answer) {
 
 fn keep(
     opened: &OpenInstrument,
-    name: &str,
+    (name, label): (&str, &Label),
     output: &SaveTargetOutput,
     answer: &Answer,
 ) -> Result<(), CliError> {
@@ -135,8 +138,15 @@ fn keep(
     tell(name, target, opened, answer);
     let instrument = &opened.config.name;
     let library = &opened.library;
-    let file = library.keep_target(name, instrument, *stage, target.clone(), frame)?;
-    answer.put(json!({"file": file.to_string_lossy()}));
+    let file = library.keep_target(NewTarget {
+        name,
+        instrument,
+        stage: *stage,
+        target: target.clone(),
+        frame,
+        label,
+    })?;
+    answer.put(json!({"file": file.to_string_lossy(), "slide": label.slide, "note": label.note}));
     match moved {
         Some(moved) => say!(
             answer,
@@ -153,7 +163,9 @@ fn keep(
     if let Some(quality) = &target.quality {
         say!(answer, "  it {quality}");
     }
-    say!(answer, "  {} and its image beside it", file.display());
+    if let Some(slide) = &label.slide {
+        say!(answer, "  on slide {slide}");
+    }
     say!(answer, "  come back with: scopeservo reposition {name}");
     Ok(())
 }

@@ -174,7 +174,7 @@ fn kept(opened: &OpenInstrument, findings: &mut Findings<'_>) {
     );
     for (name, error) in damaged {
         let cure = format!(
-            "{error}; `scopeservo target remove {}` puts it aside",
+            "{error}; `scopeservo target remove {}` puts it into the bin",
             shell(name)
         );
         findings.look(&format!("target {name}"), Err(cure));

@@ -6,7 +6,7 @@
 //! | `objects` | the files beside |
 //! | `rows`, `target_rows`, `run_rows` | how rows are written and read |
 //! | `store` | the database, opened when it is first asked for something |
-//! | `targets`, `search`, `slides`, `measured`, `runs` | what is kept |
+//! | `targets`, `search`, `slides`, `measured`, `runs`, `journal` | what is kept |
 //! | `bin`, `budget` | what goes: at once and for good, or for want of room |
 //! | `room`, `drive` | whether anything can be kept here |
 //! | `take_in`, `old` | files of earlier versions |
@@ -18,6 +18,7 @@ mod budget;
 mod check;
 mod drive;
 mod export;
+mod journal;
 mod measured;
 mod objects;
 mod old;

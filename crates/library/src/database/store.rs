@@ -162,6 +162,13 @@ impl Database {
             source,
         })?;
         let file = self.file();
-        connect(&file, lasting).map_err(|wrong| wrong.of(&file))
+        connect(&file, lasting).map_err(|wrong| match wrong.of(&file) {
+            // Nothing was done yet that could be lost.
+            LibraryError::NotKept { path, what } => LibraryError::CannotWrite {
+                path,
+                source: std::io::Error::other(what),
+            },
+            error => error,
+        })
     }
 }

@@ -173,7 +173,10 @@ impl TakeIn<'_> {
         let label: Label = label
             .and_then(|l| serde_json::from_slice(&l).ok())
             .unwrap_or_default();
-        let wrong = kept.as_ref().err().map(ToString::to_string);
+        let wrong = kept.as_ref().err().map(|error| match error {
+            LibraryError::Damaged { what, .. } => what.clone(),
+            error => error.to_string(),
+        });
         let new = NewRow {
             name: &name,
             kept: kept

@@ -47,8 +47,35 @@ impl Database {
         }
     }
 
-    /// The file of a target's row.
-    pub(crate) fn kept_target(&self, row: &TargetRow) -> Result<KeptTarget, LibraryError> {
+    /// Where the file of a target lies.
+    pub fn target_file(&self, row: &TargetRow) -> PathBuf {
+        self.objects().place(&row.file)
+    }
+
+    /// What is wrong with a target's file, as far as that is seen without reading it.
+    pub fn target_is_damaged(&self, row: &TargetRow) -> Option<LibraryError> {
+        let path = self.target_file(row);
+        match (&row.damaged, path.exists()) {
+            (Some(what), _) => Some(LibraryError::Damaged {
+                path,
+                what: what.clone(),
+            }),
+            (None, false) => Some(LibraryError::Read {
+                path,
+                what: format!(
+                    "the file of '{}' is not there. Bring it back from a backup",
+                    row.name
+                ),
+            }),
+            (None, true) => None,
+        }
+    }
+
+    /// The target of a row.
+    ///
+    /// # Errors
+    /// [`LibraryError::Damaged`], [`LibraryError::Read`].
+    pub fn target_in(&self, row: &TargetRow) -> Result<KeptTarget, LibraryError> {
         let bytes = self.objects().get(&row.file)?;
         kept_of(&self.objects().place(&row.file), &bytes)
     }
@@ -120,7 +147,7 @@ impl Targets for Database {
     }
 
     fn target(&self, name: &str) -> Result<KeptTarget, LibraryError> {
-        self.kept_target(&self.target_row(name)?)
+        self.target_in(&self.target_row(name)?)
     }
 
     fn target_path(&self, name: &str) -> Result<PathBuf, LibraryError> {
@@ -195,7 +222,7 @@ impl Targets for Database {
         }
         self.check_new_target(to)?;
         // A damaged one keeps its name, so that what is left of it is not lost track of.
-        self.kept_target(&row)?;
+        self.target_in(&row)?;
         let done = self.write(
             |change| match change_row(change, name, "name = ?1", Some(to)) {
                 Err(Wrong::Database(e)) if is_taken(&e) => Err(Wrong::Library(taken(to))),
@@ -216,7 +243,7 @@ impl Targets for Database {
 
     fn export_target(&self, name: &str, to: &Path) -> Result<(), LibraryError> {
         let row = self.target_row(name)?;
-        let kept = self.kept_target(&row)?;
+        let kept = self.target_in(&row)?;
         let bytes = match is_first(Path::new(&row.file)) {
             true => target_file::encode(&kept, Some(name))?.0,
             false => self.objects().get(&row.file)?,

@@ -8,11 +8,11 @@ const MAP = (scale, deg, tx, ty) => {
   ];
 };
 
-function iteration(objective, k, { um, deg, map, inliers, matches, sigma_px, converged = false }) {
+function iteration(objective, k, { um, deg, map, inliers, matches, sigma_px, converged = false, promised }) {
   const pairs = Array.from({ length: 40 }, (_, n) => [90 + ((n * 37) % 140), 70 + ((n * 53) % 100), (n * 97) % 320, (n * 61) % 240]);
   const error = { t_m: [um * 0.6e-6, um * 0.8e-6], theta_rad: (deg * Math.PI) / 180 };
   const velocity = { t_m: error.t_m.map((v) => -v), theta_rad: -error.theta_rad };
-  return { event: "iteration", objective, iteration: k, sequence: 100 + k, error, velocity, target_from_view: map, inliers, matches, sigma_px, pairs, converged };
+  return { event: "iteration", objective, iteration: k, sequence: 100 + k, error, velocity, target_from_view: map, inliers, matches, sigma_px, pairs, converged, promised };
 }
 
 const focus = (objective) => [
@@ -43,8 +43,8 @@ export function reposition(verdict) {
     coarse,
     { event: "phase_started", phase: "switch", objective: "40x" },
     { event: "phase_started", phase: "servo", objective: "40x" },
-    iteration("40x", 0, { um: 17.8, deg: 0.005, map: MAP(1, 0, -21, -27), inliers: 1888, matches: 2207, sigma_px: 0.0011 }),
-    iteration("40x", 1, { um: 0.1, deg: 0.0003, map: MAP(1, 0, 0.1, 0.1), inliers: 2151, matches: 2582, sigma_px: 0.001, converged: true }),
+    iteration("40x", 0, { um: 17.8, deg: 0.005, map: MAP(1, 0, -21, -27), inliers: 1888, matches: 2207, sigma_px: 2.5, promised: { error: { t_m: [-9e-6, -2e-6], theta_rad: 0 }, sigma_m: 4e-6, sigma_rad: 0.001 } }),
+    iteration("40x", 1, { um: 0.1, deg: 0.0003, map: MAP(1, 0, 0.1, 0.1), inliers: 2151, matches: 2582, sigma_px: 0.001, converged: true, promised: { error: { t_m: [0.4e-6, -0.2e-6], theta_rad: 0 }, sigma_m: 0.5e-6, sigma_rad: 0.0002 } }),
     ...end,
   ];
 }

@@ -17,6 +17,10 @@ const ROUTES = [
   ["POST", /^login$/, (w, _, body) => {
     if (body.password !== "right horse") throw new Refusal(401, "not_known", "nobody has this name and password", "input");
     w.loggedIn = true;
+    if (body.name !== w.me.user) {
+      if (w.owner === w.me.user) w.owner = null;
+      w.me = { ...w.me, user: body.name };
+    }
     return {};
   }],
   ["POST", /^enter$/, () => ({ claim: false })],

@@ -74,7 +74,7 @@ export class World {
     const age_s = this.frames ? 0.03 : 9;
     return {
       time_s: this.time_s, at: { ...this.at }, at_age_s: 0.05, homed: this.homed, moving: Boolean(this.job), trouble: this.trouble, objective: this.objective, exposure_ms: this.exposure_ms, light: this.light,
-      owner: this.owner, mine: this.owner === this.me.user, asked_by: this.asked_by, slide: this.slide, elsewhere_s: null, revision: this.revision,
+      owner: this.owner, mine: this.owner === this.me.user, asked_by: this.asked_by, there: this.there ?? [this.me.user], may_not_start: this.whyNot(), slide: this.slide, elsewhere_s: null, revision: this.revision,
       jobs: this.jobs.slice(0, 5).map(({ id, kind, owner, about, state }) => ({ id, kind, owner, about, state })),
       questions: this.question ? [this.question] : [],
       camera: { age_s, trouble: this.cameraTrouble },
@@ -89,6 +89,17 @@ export class World {
 
   where() {
     return { x_um: this.at.x_um + this.offset.x, y_um: this.at.y_um + this.offset.y, deg: this.at.rz_deg + this.offset.deg, umPerPx: SCALE[this.objective], bright: this.exposure_ms / 10 };
+  }
+
+  /** Why whoever looks could start nothing now. */
+  whyNot() {
+    const refusal = (code, message) => ({ code, kind: "refusal", message });
+    if (this.me.role === "viewer") return refusal("role", `${this.me.user} may look and stop; this needs the role operator`);
+    if (!this.me.may_move) return refusal("not_here", "from another machine nothing may be moved: allow it at the microscope first");
+    if (this.job) return refusal("busy", `${this.job.kind} by ${this.job.owner} is under way: wait, or stop it`);
+    if (this.owner && this.owner !== this.me.user) return refusal("held", `${this.owner} drives this instrument: ask for it, or wait`);
+    if (this.left) return refusal("unfinished", `${this.left}. Resume it or abandon it first`);
+    return null;
   }
 
   may(what) {

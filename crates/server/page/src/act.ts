@@ -23,8 +23,12 @@ function underWay(m: Model): string[] {
   return (m.state?.jobs ?? []).filter((job) => job.state.state !== "ended").map((job) => job.kind);
 }
 
-function canStart(m: Model): boolean {
+function canStep(m: Model): boolean {
   return drives(m) && underWay(m).length === 0;
+}
+
+function canStart(m: Model): boolean {
+  return canStep(m) && m.state?.may_not_start === null;
 }
 
 /** Whether a job that is asked for now would be begun. */
@@ -35,6 +39,30 @@ export function mayStart(): boolean {
 /** The same, for what is drawn. */
 export function useMayStart(): boolean {
   return use(canStart);
+}
+
+/** Whether a single step by hand would be: what a killed program left does not bar it. */
+export function mayStep(): boolean {
+  return canStep(get());
+}
+
+export function useMayStep(): boolean {
+  return use(canStep);
+}
+
+/** Jobs that a card tells of, or that are over in a moment. */
+const TOLD = new Set(["reposition", "calibrate", "focus", "check", "doctor", "save_target", "move", "centre", "jog"]);
+
+/** Why nothing can be started now, where nothing else on the page tells. */
+export function useWhyNot(): string | null {
+  return use((m) => {
+    const why = m.state?.may_not_start ?? null;
+    if (why === null || m.link === "lost") return null;
+    // The live page has a card for what was left.
+    if (why.code === "unfinished" && m.page === "live") return null;
+    if (why.code === "busy" && underWay(m).every((kind) => TOLD.has(kind))) return null;
+    return why.message;
+  });
 }
 
 /** Moves by hand end within a moment, of which this page hears a moment later. */
@@ -93,6 +121,17 @@ export async function rename(name: string, to: string): Promise<void> {
     if (get().chosen === name) set({ chosen: to });
     await refresh();
   }
+}
+
+/** Takes all of them out; those that could not be stay, with what was refused. */
+export async function removeAll(names: string[]): Promise<string[]> {
+  const left: string[] = [];
+  for (const name of names) {
+    // What is refused once is refused for the rest as well: it is said once.
+    if (left.length > 0 || !(await attempt("DELETE", `targets/${encodeURIComponent(name)}`))) left.push(name);
+  }
+  await refresh();
+  return left;
 }
 
 export async function remove(name: string): Promise<void> {

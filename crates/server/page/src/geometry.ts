@@ -33,6 +33,29 @@ export function outline(targetFromView: Affine, width: number, height: number): 
   return corners.map((corner) => apply(viewFromTarget, corner));
 }
 
+/** Where the middle of a saved view was to come to lie in the present one, by what a move promised: the error that was to be left, pixels of the saved view. */
+export function promisedMiddle(targetFromView: Affine, errorPx: Point, viewMiddle: Point): Point | null {
+  const viewFromTarget = inverse(targetFromView);
+  if (!viewFromTarget) return null;
+  const [[a, b], [c, d]] = viewFromTarget;
+  return [viewMiddle[0] - a * errorPx[0] - b * errorPx[1], viewMiddle[1] - c * errorPx[0] - d * errorPx[1]];
+}
+
+/** Half axes and angle, degrees, of what a circle of the saved view is in the present one: the doubt of a place. */
+export function ellipse(targetFromView: Affine, radiusPx: number): { rx: number; ry: number; deg: number } | null {
+  const map = inverse(targetFromView);
+  if (!map) return null;
+  const [[a, b], [c, d]] = map;
+  // The covariance of what is mapped, and its principal axes.
+  const [xx, xy, yy] = [a * a + b * b, a * c + b * d, c * c + d * d];
+  const [middle, half] = [(xx + yy) / 2, Math.hypot((xx - yy) / 2, xy)];
+  return {
+    rx: radiusPx * Math.sqrt(middle + half),
+    ry: radiusPx * Math.sqrt(Math.max(0, middle - half)),
+    deg: (Math.atan2(2 * xy, xx - yy) / 2 / Math.PI) * 180,
+  };
+}
+
 /** How far the map turns, degrees. */
 export function turnDeg(map: Affine): number {
   return (Math.atan2(map[1][0] - map[0][1], map[0][0] + map[1][1]) * 180) / Math.PI;

@@ -1,6 +1,6 @@
 // Keys of the whole page. Where somebody writes, letters are letters; Escape stops everywhere.
 
-import { goBack, mayStart, start, stop, mayHold } from "./act.ts";
+import { goBack, mayStart, mayStep, start, stop, mayHold } from "./act.ts";
 import { hold, release, releaseAll, type Way } from "./live/hold.ts";
 import { get, type Page, set } from "./store.ts";
 
@@ -40,16 +40,16 @@ function down(event: KeyboardEvent): void {
   const key = event.key.toLowerCase();
   if (key === "?") set({ help: true });
   else if (PAGES[key]) set({ page: PAGES[key] });
-  else if (!mayStart()) return;
+  else if (!mayStep()) return;
+  else if (Number(key) > 0) {
+    const objective = model.instrument?.objectives[Number(key) - 1];
+    if (objective) void start({ job: "objective", objective: objective.id });
+  } else if (!mayStart()) return;
   else if (key === "s") {
     event.preventDefault();
     set({ saving: true });
   } else if (key === "g") void goBack(model.chosen);
   else if (key === "f") void start({ job: "focus" });
-  else {
-    const objective = model.instrument?.objectives[Number(key) - 1];
-    if (objective) void start({ job: "objective", objective: objective.id });
-  }
 }
 
 export function listen(): void {

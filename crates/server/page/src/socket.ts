@@ -128,6 +128,10 @@ function told(message: Told): void {
       onEvent(message.record);
       break;
     case "refused":
+      if (message.code === "not_logged_in") {
+        disconnect();
+        set({ me: null });
+      }
       set({ refused: { code: message.code, kind: "refusal", message: message.message } });
       break;
     default:

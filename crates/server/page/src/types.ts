@@ -44,6 +44,10 @@ export type State = {
   mine: boolean;
   asked_by: string | null;
   slide: string | null;
+  /** Who has the page open, or a program that listens. */
+  there: string[];
+  /** Why this one could start nothing now; null: they could. */
+  may_not_start: Failure | null;
   jobs: Job[];
   questions: Question[];
   camera: { age_s: number | null; trouble: string | null };

@@ -14,6 +14,9 @@ export const words = {
   stale: "not live",
   opening: "Opening the instrument …",
   noTargets: "Nothing is saved yet. Bring what you want to find again into the view, and press S.",
+  themes: { auto: "as the system has it", dark: "dark", light: "light" } as Record<string, string>,
+  change: "Somebody else sits down here: what is shown stays, and the seat of whoever moved the instrument is free.",
+  bin: "They lie in the bin of the library then, a folder beside the others.",
   noRuns: "Nothing was done yet.",
   pages: { live: "Live", targets: "Targets", runs: "Runs", people: "People" },
   verdicts: {

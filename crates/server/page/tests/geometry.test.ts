@@ -1,6 +1,6 @@
 import { strict as assert } from "node:assert";
 import { test } from "node:test";
-import { apply, inverse, isAway, outline, scaleBar, turnDeg, type Point } from "../src/geometry.ts";
+import { apply, ellipse, inverse, isAway, outline, promisedMiddle, scaleBar, turnDeg, type Point } from "../src/geometry.ts";
 import { age, duration, fineStep, fixed, freeName, length } from "../src/format.ts";
 import { follow, EMPTY } from "../src/run/trace.ts";
 import type { Affine, EventRecord } from "../src/types.ts";
@@ -34,6 +34,41 @@ test("a saved view at four times the scale, turned by 30 degrees, lies where it 
     ]),
     null,
   );
+});
+
+test("a promise that was kept lies where the view is seen, and another as far away as it was off", () => {
+  const [c, s] = [4 * Math.cos(Math.PI / 6), 4 * Math.sin(Math.PI / 6)];
+  const map: Affine = [
+    [c, -s, 900],
+    [s, c, -1100],
+  ];
+  const [own, wanted]: Point[] = [
+    [319.5, 239.5],
+    [159.5, 119.5],
+  ];
+  // What is off: where the middle of the present view lies in the saved one, less its own middle.
+  const at = apply(map, own);
+  const off: Point = [at[0] - wanted[0], at[1] - wanted[1]];
+  const seen = apply(inverse(map) ?? assert.fail("flat"), wanted);
+  const kept = promisedMiddle(map, off, own) ?? assert.fail("flat");
+  near(kept[0], seen[0]);
+  near(kept[1], seen[1]);
+  // Off by 8 pixels of the saved view: 2 of the present one, as that shows four times as much.
+  const other = promisedMiddle(map, [off[0] + 8, off[1]], own) ?? assert.fail("flat");
+  near(Math.hypot(other[0] - seen[0], other[1] - seen[1]), 2);
+});
+
+test("a doubt of the saved view is an ellipse where the map is no similarity", () => {
+  const circle = ellipse([[2, 0, 5], [0, 2, 7]], 3) ?? assert.fail("flat");
+  near(circle.rx, 1.5);
+  near(circle.ry, 1.5);
+  // Twice as fine along the first axis, turned by 30 degrees: long where it is fine, and along that axis.
+  const [c, s] = [Math.cos(Math.PI / 6), Math.sin(Math.PI / 6)];
+  const turned = ellipse([[0.5 * c, 0.5 * s, 0], [-s, c, 0]], 3) ?? assert.fail("flat");
+  near(turned.rx, 6);
+  near(turned.ry, 3);
+  near(turned.deg, 30);
+  assert.equal(ellipse([[1, 2, 0], [2, 4, 0]], 1), null);
 });
 
 test("a scale bar is a round length that fits", () => {

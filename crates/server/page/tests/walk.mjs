@@ -167,7 +167,9 @@ async function onPhone(browser, link) {
 async function others(browser, link, end) {
   // Light, and with more contrast.
   const light = await opened(browser, link, SIZES.desk);
-  await light.page.getByRole("button", { name: "make the page light" }).click();
+  await light.page.getByRole("button", { name: /^you are/ }).click();
+  await light.page.getByLabel("Colours").selectOption("light");
+  await light.page.getByRole("button", { name: "Close" }).click();
   await shoot(light.page, "desk", "light");
   await wellFormed(light.page, "light");
   await light.end();

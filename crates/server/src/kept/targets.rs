@@ -2,46 +2,57 @@
 
 use crate::app::App;
 use crate::error::ApiError;
-use crate::kept::remembered::Stamp;
 use crate::live::jpeg;
-use scopeservo_library::{KeptTarget, Targets as _, png_of};
+use scopeservo_library::{Label, TargetQuery, TargetRow, Targets as _, png_of};
 use scopeservo_protocol::Place;
 use scopeservo_scope::Frame;
 use scopeservo_servo::TargetQuality;
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer};
 use serde_json::{Value, json};
-use std::fmt::Display;
 
 /// The width of a small picture, pixels.
 const THUMB: usize = 320;
 
-/// A change of what is said of a target.
+/// A change of what is said of a target: what is not there stays, and a slide of `null` is none.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Edit {
     pub(crate) name: Option<String>,
+    #[serde(deserialize_with = "said")]
+    pub(crate) slide: Option<Option<String>>,
+    pub(crate) note: Option<String>,
+    /// It is taken back out of the bin.
+    pub(crate) restore: bool,
 }
 
-fn told(app: &App, name: &str, kept: &KeptTarget) -> Value {
-    let target = &kept.target;
-    let taken = target.taken.as_deref();
-    let size = taken.map(|taken| [taken.frame.width, taken.frame.height]);
-    let um_per_px = taken.map(|taken| taken.um_per_px);
-    json!({
-        "name": name,
-        "saved": kept.saved,
-        "instrument": kept.instrument,
-        "own": kept.instrument == app.bench.config.name,
-        "slide": null,
-        "note": "",
-        "objective": target.objective,
-        "um_per_px": um_per_px,
-        "width": size.map(|s| s[0]),
-        "height": size.map(|s| s[1]),
-        "features": target.features.len(),
-        "quality": quality(target.quality.as_ref()),
-        "at": Place::from(&kept.stage),
-    })
+/// That something was said, if only that there is none.
+fn said<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Option<String>>, D::Error> {
+    Option::<String>::deserialize(from).map(Some)
+}
+
+fn told(app: &App, row: &TargetRow) -> Value {
+    let mut told = json!({
+        "name": row.name,
+        "saved": row.saved,
+        "instrument": row.instrument,
+        "own": row.instrument == app.bench.config.name,
+        "slide": row.label.slide,
+        "note": row.label.note,
+        "objective": row.objective,
+        "um_per_px": row.um_per_px,
+        "width": row.size_px[0],
+        "height": row.size_px[1],
+        "features": row.features,
+        "quality": quality(row.quality.as_ref()),
+        "at": Place::from(&row.stage),
+    });
+    if let Some(damaged) = &row.damaged {
+        told["damaged"] = json!(damaged);
+    }
+    if let Some(binned) = &row.binned {
+        told["binned"] = json!(binned);
+    }
+    told
 }
 
 /// How surely it is come back to, as a word with its reason.
@@ -57,48 +68,20 @@ fn quality(quality: Option<&TargetQuality>) -> Value {
     json!({"word": word, "text": quality.to_string(), "chance": quality.chance})
 }
 
-/// What is to be told of a target that may be damaged: read anew where its file is another.
-fn told_or_wrong(app: &App, name: &str) -> Value {
-    let damaged =
-        |error: &dyn Display| json!({"name": name, "saved": "", "damaged": error.to_string()});
-    let path = match app.bench.library.target_path(name) {
-        Ok(path) => path,
-        Err(error) => return damaged(&error),
-    };
-    let stamp = Stamp::of(&path);
-    if let Some(value) = app.told.get(&path, stamp) {
-        return value;
-    }
-    match app.bench.library.target(name) {
-        Err(error) => damaged(&error),
-        Ok(kept) => {
-            let value = told(app, name, &kept);
-            app.told.put(path, stamp, value.clone());
-            value
-        }
-    }
-}
-
-/// All of them, the newest first; one that is damaged is there with what is wrong with it.
-pub(crate) fn targets(app: &App, text: &str) -> Result<Value, ApiError> {
-    let names = app.bench.library.target_names()?;
-    let paths = names
-        .iter()
-        .filter_map(|name| app.bench.library.target_path(name).ok());
-    app.told.keep(&paths.collect());
-    let names = names.into_iter();
-    let wanted = text.to_lowercase();
-    let mut all: Vec<Value> = names
-        .filter(|name| name.to_lowercase().contains(&wanted))
-        .map(|name| told_or_wrong(app, &name))
-        .collect();
-    all.sort_by(|a, b| b["saved"].as_str().cmp(&a["saved"].as_str()));
-    Ok(Value::Array(all))
+/// The newest ones, or those after one of them; one that is damaged is there with what is wrong with it.
+pub(crate) fn targets(app: &App, wanted: &TargetQuery<'_>) -> Result<Value, ApiError> {
+    let rows = app.bench.library.find_targets(wanted)?;
+    Ok(rows.iter().map(|row| told(app, row)).collect())
 }
 
 /// One of them.
 pub(crate) fn target(app: &App, name: &str) -> Result<Value, ApiError> {
-    Ok(told(app, name, &app.bench.library.target(name)?))
+    Ok(told(app, &app.bench.library.target_row(name)?))
+}
+
+/// All slides.
+pub(crate) fn slides(app: &App) -> Result<Value, ApiError> {
+    Ok(json!(app.bench.library.slides()?))
 }
 
 fn frame(app: &App, name: &str) -> Result<Frame, ApiError> {
@@ -139,14 +122,22 @@ pub(crate) fn thumbnail(app: &App, name: &str) -> Result<Vec<u8>, ApiError> {
 
 /// Changes what is said of it.
 pub(crate) fn edit(app: &App, name: &str, edit: &Edit) -> Result<Value, ApiError> {
-    let name = match &edit.name {
-        Some(to) => {
-            app.bench.library.rename_target(name, to)?;
-            app.has_changed();
-            to
-        }
-        None => name,
-    };
+    let library = &app.bench.library;
+    if edit.restore {
+        library.restore_target(name, edit.name.as_deref())?;
+    } else if let Some(to) = &edit.name {
+        library.rename_target(name, to)?;
+    }
+    let name = edit.name.as_deref().unwrap_or(name);
+    if edit.slide.is_some() || edit.note.is_some() {
+        let before = library.target_label(name)?;
+        let label = Label {
+            slide: edit.slide.clone().unwrap_or(before.slide),
+            note: edit.note.clone().unwrap_or(before.note),
+        };
+        library.label_target(name, &label)?;
+    }
+    app.has_changed();
     target(app, name)
 }
 
@@ -155,4 +146,16 @@ pub(crate) fn remove(app: &App, name: &str) -> Result<(), ApiError> {
     app.bench.library.remove_target(name)?;
     app.has_changed();
     Ok(())
+}
+
+/// Deletes it from the bin for good, with the runs to it.
+pub(crate) fn purge(app: &App, name: &str) -> Result<Value, ApiError> {
+    let purged = app.bench.library.purge_targets(Some(&[name.to_owned()]))?;
+    app.audit.forget(name).map_err(|e| {
+        ApiError::fault(format!(
+            "'{name}' is deleted, and its name is still in the log of who moved what: {e}"
+        ))
+    })?;
+    app.has_changed();
+    Ok(json!({"purged": purged}))
 }

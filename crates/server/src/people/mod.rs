@@ -17,7 +17,8 @@ pub(crate) use role::Role;
 use sessions::Sessions;
 use std::path::PathBuf;
 use std::sync::Mutex;
-use std::time::Instant;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
 use store::{Account, Accounts, Token};
 
 /// Who asks.
@@ -49,11 +50,38 @@ pub(crate) struct People {
     guesses: Mutex<Guesses>,
     /// Passwords are looked at one after the other: each takes memory and time on purpose.
     hashing: Mutex<()>,
+    /// So many wait for that.
+    turns: AtomicUsize,
     /// What the terminal shows: it lets the first one in, or in a demonstration everybody.
     key: String,
     /// What programs of the same user at this computer have: the command line. It ends with the server.
     terminal: String,
     is_demo: bool,
+}
+
+/// So many passwords wait to be looked at; for one more there is no room.
+const TURNS: usize = 8;
+
+/// One that waits.
+struct Turn<'a>(&'a AtomicUsize);
+
+impl<'a> Turn<'a> {
+    fn take(turns: &'a AtomicUsize) -> Result<Self, ApiError> {
+        let turn = Self(turns);
+        match turns.fetch_add(1, Ordering::SeqCst) < TURNS {
+            true => Ok(turn),
+            false => {
+                let message = "too many log in at once: try again in a moment";
+                Err(ApiError::too_many(message, Duration::from_secs(1)))
+            }
+        }
+    }
+}
+
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::SeqCst);
+    }
 }
 
 /// What the terminal's key opened.
@@ -88,6 +116,7 @@ impl People {
             sessions: Mutex::default(),
             guesses: Mutex::default(),
             hashing: Mutex::default(),
+            turns: AtomicUsize::new(0),
             key: secret().map_err(|e| e.to_string())?,
             terminal: secret().map_err(|e| e.to_string())?,
             is_demo,
@@ -132,8 +161,14 @@ impl People {
     }
 
     /// A session for whoever knows the password.
-    pub(crate) fn log_in(&self, name: &str, password: &str) -> Result<String, ApiError> {
-        lock(&self.guesses).may(name, Instant::now())?;
+    pub(crate) fn log_in(
+        &self,
+        name: &str,
+        password: &str,
+        place: &str,
+    ) -> Result<String, ApiError> {
+        lock(&self.guesses).may(name, place, Instant::now())?;
+        let _turn = Turn::take(&self.turns)?;
         let hash = lock(&self.accounts).user(name).map(|a| a.password.clone());
         let is_right = password.len() <= LONGEST && {
             let _one = lock(&self.hashing);
@@ -143,7 +178,7 @@ impl People {
                 None => hashed(password).is_err(),
             }
         };
-        lock(&self.guesses).was(name, is_right, Instant::now());
+        lock(&self.guesses).was(name, place, is_right, Instant::now());
         match is_right {
             true => self.admit(name),
             false => Err(wrong()),
@@ -154,6 +189,18 @@ impl People {
         let session = secret().map_err(no_random)?;
         lock(&self.sessions).add(&checksum(&session), name, Instant::now());
         Ok(session)
+    }
+
+    /// Whether whoever came is somebody still: a session may have been ended, and a token or a user removed.
+    pub(crate) fn knows(&self, caller: &Caller) -> bool {
+        let is_session = lock(&self.sessions).user(&caller.key, Instant::now());
+        is_session.is_some()
+            || {
+                let accounts = lock(&self.accounts);
+                let mut tokens = accounts.tokens.iter();
+                tokens.any(|t| t.checksum == caller.key)
+            }
+            || checksum(&self.terminal) == caller.key
     }
 
     /// Ends a session.
@@ -372,8 +419,8 @@ mod tests {
         }
         let again = People::open(file, false).unwrap();
         assert!(again.of_session(&session, true).is_none());
-        assert!(again.log_in("anna", "long enougH").is_err());
-        let session = again.log_in("anna", "long enough").unwrap();
+        assert!(again.log_in("anna", "long enougH", "here").is_err());
+        let session = again.log_in("anna", "long enough", "here").unwrap();
         let anna = again.of_session(&session, true).unwrap();
         again.log_out(&anna);
         assert!(again.of_session(&session, true).is_none());
@@ -388,7 +435,7 @@ mod tests {
             .unwrap();
         assert!(people.add_user("bob", "long enough", Role::Viewer).is_err());
         assert!(people.remove_user("anna").is_err());
-        let bob = people.log_in("bob", "long enough").unwrap();
+        let bob = people.log_in("bob", "long enough", "here").unwrap();
         // No token does more than its maker may.
         let token = people.add_token("bob", "script", Role::Admin).unwrap();
         assert_eq!(people.of_token(&token, true).unwrap().role, Role::Operator);
@@ -403,11 +450,26 @@ mod tests {
         let (_dir, people) = people();
         people.add_user("anna", "long enough", Role::Admin).unwrap();
         people.add_user("bob", "long enough", Role::Viewer).unwrap();
-        let wrong = |n: usize| people.log_in("anna", &format!("guess {n}")).unwrap_err();
+        let wrong = |n: usize| {
+            let guess = format!("guess {n}");
+            people.log_in("anna", &guess, "there").unwrap_err()
+        };
         let codes: Vec<String> = (0..8).map(|n| wrong(n).code).collect();
         assert_eq!(codes[..5], ["not_known"; 5]);
         assert_eq!(codes[5..], ["too_many"; 3]);
-        assert!(people.log_in("anna", "long enough").is_err());
-        people.log_in("bob", "long enough").unwrap();
+        assert!(people.log_in("anna", "long enough", "there").is_err());
+        people.log_in("bob", "long enough", "there").unwrap();
+        people.log_in("anna", "long enough", "here").unwrap();
+    }
+
+    #[test]
+    fn who_waits_for_a_password_to_be_looked_at_has_a_turn() {
+        let turns = AtomicUsize::new(0);
+        let all: Vec<_> = (0..TURNS).map(|_| Turn::take(&turns).unwrap()).collect();
+        let one_more = Turn::take(&turns).err().unwrap();
+        assert_eq!(one_more.retry_after, Some(Duration::from_secs(1)));
+        drop(all);
+        assert!(Turn::take(&turns).is_ok());
+        assert_eq!(turns.load(Ordering::SeqCst), 0);
     }
 }

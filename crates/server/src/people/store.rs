@@ -2,7 +2,7 @@
 
 use super::role::Role;
 use crate::error::ApiError;
-use scopeservo_library::files::{make_folder, replace};
+use scopeservo_library::files::{make_folder, replace_private};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -87,12 +87,6 @@ impl Accounts {
             make_folder(folder)?;
         }
         let bytes = serde_json::to_vec_pretty(self).map_err(std::io::Error::other)?;
-        replace(file, &bytes)?;
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::PermissionsExt as _;
-            std::fs::set_permissions(file, std::fs::Permissions::from_mode(0o600))?;
-        }
-        Ok(())
+        replace_private(file, &bytes)
     }
 }

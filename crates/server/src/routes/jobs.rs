@@ -92,6 +92,7 @@ async fn abandon(State(app): Shared, Extension(caller): Extension<Caller>) -> An
         app.desk.is_free()?;
         app.seat.take(&caller)?;
         app.bench.end_left()?;
+        app.learn_left();
         app.audit
             .noted(&caller, "abandoned what was under way", Value::Null)
     })

@@ -9,6 +9,7 @@ use axum::extract::{Request, State};
 use axum::http::{HeaderName, HeaderValue};
 use axum::response::Response;
 use axum::routing::{delete, get, patch};
+use scopeservo_library::{RunQuery, TargetQuery};
 use serde::Deserialize;
 use serde_json::json;
 
@@ -16,7 +17,7 @@ use serde_json::json;
 const RUNS: usize = 500;
 
 pub(super) fn routes() -> Vec<Route> {
-    use Need::{Operate, View};
+    use Need::{Administer, Operate, View};
     vec![
         route("GET", "/api/v1/targets", View, get(targets)),
         route("GET", "/api/v1/targets/{name}", View, get(target)),
@@ -44,9 +45,12 @@ pub(super) fn routes() -> Vec<Route> {
             View,
             get(target_thumbnail),
         ),
+        route("DELETE", "/api/v1/bin/{name}", Administer, delete(purge)),
+        route("GET", "/api/v1/slides", View, get(slides)),
         route("GET", "/api/v1/calibrations", View, get(calibrations)),
         route("GET", "/api/v1/runs", View, get(runs)),
         route("GET", "/api/v1/runs/{id}", View, get(run)),
+        route("PATCH", "/api/v1/runs/{id}", Operate, patch(edit_run)),
         route("GET", "/api/v1/runs/{id}/events", View, get(run_events)),
         route(
             "GET",
@@ -57,16 +61,40 @@ pub(super) fn routes() -> Vec<Route> {
     ]
 }
 
+/// So many targets in one answer, unless fewer are asked for.
+const TARGETS: usize = 500;
+
 #[derive(Deserialize)]
-struct Text {
+struct Which {
     #[serde(default)]
     text: String,
+    slide: Option<String>,
+    limit: Option<usize>,
+    after: Option<String>,
+    #[serde(default)]
+    bin: bool,
 }
 
-async fn targets(State(app): Shared, Wanted(wanted): Wanted<Text>) -> Answer {
-    Ok(Json(
-        aside(&app, move |app| kept::targets(app, &wanted.text)).await?,
-    ))
+async fn targets(State(app): Shared, Wanted(which): Wanted<Which>) -> Answer {
+    let all = aside(&app, move |app| {
+        let wanted = TargetQuery {
+            text: &which.text,
+            slide: which.slide.as_deref(),
+            limit: which.limit.unwrap_or(TARGETS).clamp(1, TARGETS),
+            after: which.after.as_deref(),
+            binned: which.bin,
+        };
+        kept::targets(app, &wanted)
+    });
+    Ok(Json(all.await?))
+}
+
+async fn slides(State(app): Shared) -> Answer {
+    Ok(Json(aside(&app, |app| kept::slides(app)).await?))
+}
+
+async fn purge(State(app): Shared, Named(name): Named<String>) -> Answer {
+    Ok(Json(aside(&app, move |app| kept::purge(app, &name)).await?))
 }
 
 async fn target(State(app): Shared, Named(name): Named<String>) -> Answer {
@@ -111,14 +139,32 @@ async fn calibrations(State(app): Shared) -> Answer {
 struct Page {
     limit: Option<usize>,
     before: Option<String>,
+    target: Option<String>,
 }
 
 async fn runs(State(app): Shared, Wanted(page): Wanted<Page>) -> Answer {
-    let limit = page.limit.unwrap_or(50).min(RUNS);
     let all = aside(&app, move |app| {
-        kept::runs(app, limit, page.before.as_deref())
+        let wanted = RunQuery {
+            limit: page.limit.unwrap_or(50).min(RUNS),
+            before: page.before.as_deref(),
+            target: page.target.as_deref(),
+        };
+        kept::runs(app, &wanted)
     });
     Ok(Json(all.await?))
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RunEdit {
+    pinned: bool,
+}
+
+async fn edit_run(State(app): Shared, Named(id): Named<String>, request: Request) -> Answer {
+    let RunEdit { pinned } = body(request).await?;
+    Ok(Json(
+        aside(&app, move |app| kept::pin(app, &id, pinned)).await?,
+    ))
 }
 
 async fn run(State(app): Shared, Named(id): Named<String>) -> Answer {

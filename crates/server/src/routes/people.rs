@@ -1,8 +1,10 @@
 //! How one comes in, and who may.
 
 use super::route::{Answer, Named, Route, Shared, aside, body, route};
+use crate::app::App;
 use crate::error::ApiError;
 use crate::guard::{Need, set_cookie};
+use crate::peer::{Peer, Whence};
 use crate::people::{Caller, Entered, Role};
 use axum::extract::{Request, State};
 use axum::response::{IntoResponse, Response};
@@ -44,13 +46,17 @@ struct Key {
     key: String,
 }
 
-async fn enter(State(app): Shared, request: Request) -> Result<Response, ApiError> {
+async fn enter(
+    State(app): Shared,
+    Extension(peer): Extension<Peer>,
+    request: Request,
+) -> Result<Response, ApiError> {
     let headers = request.headers().clone();
     let Key { key } = body(request).await?;
     match aside(&app, move |app| app.people.enter(&key)).await? {
         Entered::Claim => Ok(Json(json!({"claim": true})).into_response()),
         Entered::Session(session) => Ok((
-            set_cookie(Some(&session), &headers),
+            set_cookie(Some(&session), &peer, &headers),
             Json(json!({"claim": false})),
         )
             .into_response()),
@@ -65,7 +71,11 @@ struct Claim {
     password: String,
 }
 
-async fn claim(State(app): Shared, request: Request) -> Result<Response, ApiError> {
+async fn claim(
+    State(app): Shared,
+    Extension(peer): Extension<Peer>,
+    request: Request,
+) -> Result<Response, ApiError> {
     let headers = request.headers().clone();
     let Claim {
         key,
@@ -73,7 +83,7 @@ async fn claim(State(app): Shared, request: Request) -> Result<Response, ApiErro
         password,
     } = body(request).await?;
     let session = aside(&app, move |app| app.people.claim(&key, &name, &password)).await?;
-    Ok((set_cookie(Some(&session), &headers), Json(json!({}))).into_response())
+    Ok((set_cookie(Some(&session), &peer, &headers), Json(json!({}))).into_response())
 }
 
 #[derive(Deserialize)]
@@ -83,20 +93,47 @@ struct LogIn {
     password: String,
 }
 
-async fn log_in(State(app): Shared, request: Request) -> Result<Response, ApiError> {
+async fn log_in(
+    State(app): Shared,
+    Extension(peer): Extension<Peer>,
+    Extension(Whence(place)): Extension<Whence>,
+    before: Option<Extension<Caller>>,
+    request: Request,
+) -> Result<Response, ApiError> {
     let headers = request.headers().clone();
     let LogIn { name, password } = body(request).await?;
-    let session = aside(&app, move |app| app.people.log_in(&name, &password)).await?;
-    Ok((set_cookie(Some(&session), &headers), Json(json!({}))).into_response())
+    let session = aside(&app, move |app| {
+        let session = app.people.log_in(&name, &password, &place)?;
+        // Somebody else at the same browser: whoever was there before is there no more.
+        if let Some(Extension(before)) = before {
+            leave(app, &before);
+        }
+        Ok(session)
+    })
+    .await?;
+    Ok((set_cookie(Some(&session), &peer, &headers), Json(json!({}))).into_response())
+}
+
+/// Ends a session. What it held stands, and its seat is free.
+fn leave(app: &App, caller: &Caller) {
+    app.people.log_out(caller);
+    app.desk.let_go(&caller.key);
+    app.seat.leave(caller);
 }
 
 async fn log_out(
     State(app): Shared,
     Extension(caller): Extension<Caller>,
+    Extension(peer): Extension<Peer>,
     request: Request,
-) -> Response {
-    app.people.log_out(&caller);
-    (set_cookie(None, request.headers()), Json(json!({}))).into_response()
+) -> Result<Response, ApiError> {
+    let cookie = set_cookie(None, &peer, request.headers());
+    aside(&app, move |app| {
+        leave(app, &caller);
+        Ok(())
+    })
+    .await?;
+    Ok((cookie, Json(json!({}))).into_response())
 }
 
 async fn me(Extension(caller): Extension<Caller>) -> Json<Value> {

@@ -66,7 +66,7 @@ async fn live(
             message,
         ));
     }
-    let place = app.socket_place()?;
+    let place = app.socket_place(&caller)?;
     let upgrade = upgrade.max_message_size(64 << 10).max_frame_size(64 << 10);
     Ok(upgrade.on_upgrade(move |socket| async move {
         socket::serve(app, caller, socket).await;

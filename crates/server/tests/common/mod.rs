@@ -2,13 +2,14 @@
 #![allow(dead_code, reason = "each test uses a part of it")]
 
 use scopeservo_scope::{CancelToken, GateEvent};
-use scopeservo_server::{Before, Server, Settings};
+use scopeservo_server::{Before, ServeError, Server, Settings};
 use scopeservo_setup::{Config, Consent};
 use scopeservo_station::{Heard, Listener, News};
 use scopeservo_workbench::Workbench;
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
@@ -39,6 +40,29 @@ pub(crate) const REAL: &str = "real_time = true";
 /// A minute passes in a second.
 pub(crate) const HURRIED: &str = "objectives = [\"10x\", \"40x\"]";
 
+fn opened(twin: &str, folder: &Path) -> (Workbench, Before) {
+    let path = folder.join("scopeservo.toml");
+    let config = Config::parse(&described(twin), &path).unwrap();
+    let before = Before::default();
+    let consent = Consent {
+        home: false,
+        ask: before.questions.asker(),
+        ask_immersion: before.questions.immersion_asker(),
+    };
+    let bench = Workbench::open(config, &consent, CancelToken::new(), |e| panic!("{e}"));
+    (bench.unwrap(), before)
+}
+
+/// Why it is not served so.
+pub(crate) fn refused(settings: &Settings) -> ServeError {
+    let folder = TempDir::new().unwrap();
+    let (bench, before) = opened(HURRIED, folder.path());
+    match Server::start(bench, before, settings) {
+        Ok(_) => panic!("served"),
+        Err(error) => error,
+    }
+}
+
 impl Bench {
     pub(crate) fn demo(twin: &str) -> Self {
         Self::new(twin, true, Arc::new(TempDir::new().unwrap()))
@@ -50,23 +74,30 @@ impl Bench {
 
     /// The same behind a proxy of these names.
     pub(crate) fn named(twin: &str, demo: bool, folder: Arc<TempDir>, names: &[&str]) -> Self {
-        let path = folder.path().join("scopeservo.toml");
-        let config = Config::parse(&described(twin), &path).unwrap();
-        let before = Before::default();
+        let names = names.iter().map(|name| (*name).to_owned()).collect();
+        Self::set(twin, demo, folder, |settings| settings.names = names)
+    }
+
+    /// The same, served otherwise.
+    pub(crate) fn set(
+        twin: &str,
+        demo: bool,
+        folder: Arc<TempDir>,
+        set: impl FnOnce(&mut Settings),
+    ) -> Self {
+        let (bench, before) = opened(twin, folder.path());
         let listener = before.bus.listen();
-        let consent = Consent {
-            home: false,
-            ask: before.questions.asker(),
-            ask_immersion: before.questions.immersion_asker(),
-        };
-        let bench = Workbench::open(config, &consent, CancelToken::new(), |e| panic!("{e}"));
-        let settings = Settings {
+        let mut settings = Settings {
             listen: "127.0.0.1:0".parse().unwrap(),
-            names: names.iter().map(|name| (*name).to_owned()).collect(),
+            names: Vec::new(),
+            tls: None,
+            proxies: Vec::new(),
+            limits: Default::default(),
             demo,
             folder: folder.path().join("server"),
         };
-        let server = Server::start(bench.unwrap(), before, &settings).unwrap();
+        set(&mut settings);
+        let server = Server::start(bench, before, &settings).unwrap();
         let link = server.link();
         let key = link.split_once("#key=").map(|(_, key)| key.to_owned());
         Self {

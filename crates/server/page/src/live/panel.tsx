@@ -2,7 +2,7 @@
 
 import { useState } from "preact/hooks";
 import { attempt } from "../api.ts";
-import { by, start, useDrives, useMayStart } from "../act.ts";
+import { by, start, useDrives, useMayStart, useMayStep } from "../act.ts";
 import { age, fineStep, fixed } from "../format.ts";
 import { use, useNow } from "../store.ts";
 import type { Histogram } from "./histogram.ts";
@@ -30,7 +30,8 @@ export function Panel({ bins }: { bins: Histogram | null }) {
 function Focus({ may }: { may: boolean }) {
   const all = use((m) => m.sharpness);
   const um = use((m) => m.instrument?.objectives.find((o) => o.id === m.state?.objective)?.um_per_px ?? 1);
-  const busy = !useMayStart();
+  const busy = !useMayStep();
+  const mayStart = useMayStart();
   const nearer = use((m) => m.instrument?.nearer_z ?? 0);
   const most = Math.max(1e-9, ...all);
   const points = all.map((v, k) => `${(k * 100) / 89},${30 - (28 * v) / most}`).join(" ");
@@ -49,7 +50,7 @@ function Focus({ may }: { may: boolean }) {
           <button type="button" disabled={busy || nearer === 0} onClick={() => by("z_um", -fine * nearer)}>
             {fine} µm away
           </button>
-          <button type="button" disabled={busy} onClick={() => void start({ job: "focus" })}>
+          <button type="button" disabled={!mayStart} onClick={() => void start({ job: "focus" })}>
             Focus <kbd>F</kbd>
           </button>
         </div>
@@ -122,7 +123,7 @@ function Where() {
   const homed = use((m) => m.state?.homed ?? true);
   const moving = use((m) => m.state?.moving ?? false);
   const may = use((m) => m.me?.may_move ?? false);
-  const busy = !useMayStart();
+  const busy = !useMayStep();
   const old = moving ? 0 : (now - seen) / 1000 - 1;
   return (
     <section class={old >= 2 ? "where old" : "where"}>

@@ -1,11 +1,12 @@
 // The specimen: a canvas that is drawn anew with each frame, and what is drawn over it.
 
 import { useEffect, useRef, useState } from "preact/hooks";
-import { by, mayPoint, mayStart, start, useMayPoint } from "../act.ts";
+import { by, mayPoint, mayStep, start, useMayPoint } from "../act.ts";
 import { age, fineStep, length } from "../format.ts";
-import { isAway, outline, scaleBar } from "../geometry.ts";
+import { apply, ellipse, inverse, isAway, outline, promisedMiddle, scaleBar } from "../geometry.ts";
 import { paintWith } from "../socket.ts";
 import { get, use, useNow } from "../store.ts";
+import type { Step } from "../run/trace.ts";
 import type { FrameHead } from "../types.ts";
 import { words } from "../words.ts";
 import { histogram, type Histogram } from "./histogram.ts";
@@ -110,7 +111,7 @@ function useWheel(canvas: { current: HTMLCanvasElement | null }): void {
     const step = () => {
       timer = null;
       if (notches === 0) return;
-      if (!mayStart()) {
+      if (!mayStep()) {
         timer = window.setTimeout(step, WHEEL_MS);
         return;
       }
@@ -124,7 +125,7 @@ function useWheel(canvas: { current: HTMLCanvasElement | null }): void {
     };
     const turn = (event: WheelEvent) => {
       event.preventDefault();
-      if (event.deltaY === 0 || (notches === 0 && !mayStart() && timer === null)) return;
+      if (event.deltaY === 0 || (notches === 0 && !mayStep() && timer === null)) return;
       notches = Math.max(-NOTCHES, Math.min(NOTCHES, notches - Math.sign(event.deltaY)));
       timer ??= window.setTimeout(step, 0);
     };
@@ -166,16 +167,47 @@ function Found({ frame }: { frame: FrameHead }) {
   if (!step || !isUnderWay || step.objective !== frame.objective) return null;
   const corners = outline(step.targetFromView, size?.width ?? frame.full_width, size?.height ?? frame.full_height);
   if (!corners) return null;
-  const doubt = Math.max(2, 3 * step.sigmaPx);
-  const middle = corners.reduce(([x, y], c) => [x + c[0] / 4, y + c[1] / 4], [0, 0]);
   return (
     <g class={`found${step.converged ? " sure" : ""}${step.seenFrom && frame.at && isAway(step.seenFrom, frame.at) ? " since" : ""}`}>
       <polygon points={corners.map((c) => c.join(",")).join(" ")} />
-      <circle cx={middle[0]} cy={middle[1]} r={doubt} />
+      <Middles step={step} frame={frame} size={[size?.width ?? frame.full_width, size?.height ?? frame.full_height]} />
       {step.pairs.slice(0, 150).map((pair, k) => (
         <circle key={k} class="match" cx={pair[0]} cy={pair[1]} r={frame.full_width / 300} />
       ))}
     </g>
+  );
+}
+
+/** Deviations that an ellipse is drawn at: hardly anything lies beyond. */
+const SIGMAS = 3;
+
+/** The middle of the saved view: filled where it is seen, hollow where the move before was to bring it, each with an ellipse for its doubt. */
+function Middles({ step, frame, size }: { step: Step; frame: FrameHead; size: [number, number] }) {
+  const wanted = use((m) => m.instrument?.objectives.find((o) => o.id === m.trace.wanted)?.um_per_px ?? null);
+  const viewFromTarget = inverse(step.targetFromView);
+  if (!viewFromTarget) return null;
+  const seen = apply(viewFromTarget, [(size[0] - 1) / 2, (size[1] - 1) / 2]);
+  const doubt = ellipse(step.targetFromView, SIGMAS * step.sigmaPx);
+  const own = [(frame.full_width - 1) / 2, (frame.full_height - 1) / 2] as [number, number];
+  const um = step.promised && wanted ? step.promised.um.map((v) => v / wanted) : null;
+  const promised = um && promisedMiddle(step.targetFromView, um as [number, number], own);
+  const open = step.promised && wanted ? ellipse(step.targetFromView, (SIGMAS * step.promised.sigmaUm) / wanted) : null;
+  const r = frame.full_width / 110;
+  return (
+    <>
+      {promised && open && (
+        <g class="promised" transform={`translate(${promised[0]} ${promised[1]})`}>
+          <ellipse class="doubt" rx={open.rx} ry={open.ry} transform={`rotate(${open.deg})`} />
+          <circle r={r} />
+        </g>
+      )}
+      {doubt && (
+        <g class="seen" transform={`translate(${seen[0]} ${seen[1]})`}>
+          <ellipse class="doubt" rx={doubt.rx} ry={doubt.ry} transform={`rotate(${doubt.deg})`} />
+          <circle r={0.6 * r} />
+        </g>
+      )}
+    </>
   );
 }
 

@@ -1,8 +1,9 @@
 // The edge below, on every page: three verbs, and what one may go back to.
 
 import { attempt } from "../api.ts";
-import { goBack, stop, useMayStart } from "../act.ts";
+import { goBack, stop, useMayStart, useWhyNot } from "../act.ts";
 import { address } from "../api.ts";
+import { withUnits } from "../format.ts";
 import { set, use } from "../store.ts";
 import { words } from "../words.ts";
 
@@ -11,8 +12,14 @@ export function Bottom() {
   const chosen = use((m) => m.chosen);
   const busy = !useMayStart();
   const demo = use((m) => m.state?.demo ?? null);
+  const why = useWhyNot();
   return (
     <footer class="bottom">
+      {why && (
+        <p class="whynot" role="status">
+          {withUnits(why)}
+        </p>
+      )}
       {may && (
         <button type="button" class="verb" disabled={busy} onClick={() => set({ saving: true })}>
           {words.save} <kbd>S</kbd>

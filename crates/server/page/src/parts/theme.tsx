@@ -1,40 +1,53 @@
-// Dark, as rooms with microscopes are; light for whoever wants it, remembered by the browser.
+// Dark, as rooms with microscopes are, light, or as the system has it: remembered by the browser.
 
 import { useState } from "preact/hooks";
+import { words } from "../words.ts";
 
 const KEPT = "scopeservo-theme";
+const USUAL = "dark";
+const isLight = matchMedia("(prefers-color-scheme: light)");
 
 function kept(): string {
   try {
-    return localStorage.getItem(KEPT) ?? "dark";
+    const theme = localStorage.getItem(KEPT) ?? USUAL;
+    return theme in words.themes ? theme : USUAL;
   } catch {
-    return "dark";
+    return USUAL;
   }
 }
 
-export function applyTheme(theme = kept()): void {
-  document.documentElement.dataset.theme = theme;
+let chosen = kept();
+
+export function applyTheme(theme = chosen): void {
+  chosen = theme;
+  const system = isLight.matches ? "light" : "dark";
+  document.documentElement.dataset.theme = theme === "auto" ? system : theme;
 }
 
+isLight.addEventListener("change", () => applyTheme());
+
+/** One of three. */
 export function Theme() {
-  const [theme, setTheme] = useState(kept);
-  const other = theme === "dark" ? "light" : "dark";
+  const [theme, setTheme] = useState(chosen);
+  const choose = (next: string) => {
+    try {
+      localStorage.setItem(KEPT, next);
+    } catch {
+      // Then it lasts as long as the page.
+    }
+    applyTheme(next);
+    setTheme(next);
+  };
   return (
-    <button
-      type="button"
-      class="small"
-      aria-label={`make the page ${other}`}
-      onClick={() => {
-        try {
-          localStorage.setItem(KEPT, other);
-        } catch {
-          // Then it lasts as long as the page.
-        }
-        applyTheme(other);
-        setTheme(other);
-      }}
-    >
-      ◐
-    </button>
+    <label class="row">
+      Colours
+      <select value={theme} onChange={(e) => choose(e.currentTarget.value)}>
+        {Object.entries(words.themes).map(([word, name]) => (
+          <option key={word} value={word}>
+            {name}
+          </option>
+        ))}
+      </select>
+    </label>
   );
 }

@@ -1,11 +1,11 @@
 // The edge above: which instrument, what lies on it, who drives, and how old it is.
 
 import { attempt } from "../api.ts";
-import { start, useMayStart } from "../act.ts";
+import { start, useMayStep } from "../act.ts";
 import { age } from "../format.ts";
 import { type Page, set, use, useNow } from "../store.ts";
 import { words } from "../words.ts";
-import { Theme } from "./theme.tsx";
+import { Who } from "../people/who.tsx";
 
 export function Top() {
   const instrument = use((m) => m.instrument);
@@ -19,7 +19,7 @@ export function Top() {
       <Driver />
       <ObjectiveChoice />
       <LiveDot />
-      <Theme />
+      <Who />
       <button type="button" class="small" aria-label="Keys and help" onClick={() => set({ help: true })}>
         ?
       </button>
@@ -99,7 +99,7 @@ function Driver() {
 function ObjectiveChoice() {
   const all = use((m) => m.instrument?.objectives ?? null);
   const now = use((m) => m.state?.objective ?? null);
-  const may = useMayStart();
+  const may = useMayStep();
   if (!all) return null;
   return (
     <label class="objective">

@@ -2,8 +2,8 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { attempt } from "../api.ts";
-import { disconnect } from "../socket.ts";
-import { set, use } from "../store.ts";
+import { logOut } from "./who.tsx";
+import { use } from "../store.ts";
 
 type One = { name: string; role: string };
 
@@ -24,12 +24,7 @@ export function People() {
         <span class="soft">you are {me?.user}</span>
         <button
           type="button"
-          onClick={() =>
-            void attempt("POST", "logout").then(() => {
-              disconnect();
-              set({ me: null });
-            })
-          }
+          onClick={logOut}
         >
           Log out
         </button>

@@ -14,6 +14,8 @@ export type Step = {
   matches: number;
   pairs: [number, number, number, number][];
   converged: boolean;
+  /** What the move before was to lead to: the error then, um, and its standard deviation; null where none was made. */
+  promised: { um: [number, number]; sigmaUm: number } | null;
   /** Where the stage stood; null where an older log does not tell. */
   seenFrom: Place | null;
 };
@@ -23,6 +25,8 @@ export type Trace = {
   /** What it does now, for people. */
   now: string;
   objectives: string[];
+  /** The objective of the saved view. */
+  wanted: string | null;
   steps: Step[];
   lost: number;
   views: number;
@@ -37,6 +41,7 @@ export const EMPTY: Trace = {
   job: null,
   now: "",
   objectives: [],
+  wanted: null,
   steps: [],
   lost: 0,
   views: 0,
@@ -68,6 +73,14 @@ function place(pose: Pose | undefined): Place | null {
 
 type Motion = { t_m: [number, number]; theta_rad: number };
 
+type Promised = { error: Motion; sigma_m: number };
+
+function promised(told: Promised | null | undefined): Step["promised"] {
+  if (!told) return null;
+  const [x, y] = told.error.t_m;
+  return { um: [1e6 * x, 1e6 * y], sigmaUm: 1e6 * told.sigma_m };
+}
+
 function step(record: EventRecord): Step {
   const error = record.error as Motion;
   return {
@@ -82,6 +95,7 @@ function step(record: EventRecord): Step {
     matches: record.matches as number,
     pairs: record.pairs as Step["pairs"],
     converged: record.converged as boolean,
+    promised: promised(record.promised as Promised | null | undefined),
     seenFrom: place(record.stage as Pose | undefined),
   };
 }
@@ -94,7 +108,7 @@ export function follow(trace: Trace, record: EventRecord): Trace {
   const after = { ...before, last_s: record.time_s };
   switch (record.event) {
     case "started":
-      return { ...after, objectives: record.objectives as string[] };
+      return { ...after, objectives: record.objectives as string[], wanted: (record.target_objective as string | undefined) ?? null };
     case "phase_started": {
       const phase = PHASES[record.phase as string] ?? record.phase;
       return { ...after, now: `${phase} ${record.objective}`, focus: [], views: 0 };

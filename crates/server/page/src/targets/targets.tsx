@@ -2,7 +2,7 @@
 
 import { useMemo, useState } from "preact/hooks";
 import { address } from "../api.ts";
-import { goBack, remove, rename, useMayStart } from "../act.ts";
+import { goBack, remove, removeAll, rename, useMayStart } from "../act.ts";
 import { length, moment } from "../format.ts";
 import { scaleBar } from "../geometry.ts";
 import { set, use } from "../store.ts";
@@ -24,6 +24,16 @@ export function Targets() {
     return targets.filter((t) => has(t) && (!quality || t.quality?.word === quality) && (!slide || t.slide === slide));
   }, [targets, text, quality, slide]);
   const one = targets.find((t) => t.name === open);
+  const may = use((m) => m.me !== null && m.me !== undefined && m.me.role !== "viewer");
+  const [marked, setMarked] = useState<Set<string>>(new Set());
+  // Those that are gone, or are not shown, are not marked: nobody takes out what they do not see.
+  const chosen = shown.filter((t) => marked.has(t.name)).map((t) => t.name);
+  const mark = (name: string, is: boolean) => {
+    const next = new Set(marked);
+    if (is) next.add(name);
+    else next.delete(name);
+    setMarked(next);
+  };
   return (
     <main class="sheet">
       <div class="row wide">
@@ -58,10 +68,11 @@ export function Targets() {
       </div>
       {targets.length === 0 && <p class="soft">{words.noTargets}</p>}
       {targets.length > 0 && shown.length === 0 && <p class="soft">None of {targets.length} is like that.</p>}
+      {may && shown.length > 0 && <Marked names={chosen} all={shown.map((t) => t.name)} onMark={(names) => setMarked(new Set(names))} />}
       <ul class="contact">
         {shown.map((target) => (
           <li key={target.name}>
-            <Card target={target} onOpen={() => setOpen(target.name)} />
+            <Card target={target} marked={may ? marked.has(target.name) : null} onMark={(is) => mark(target.name, is)} onOpen={() => setOpen(target.name)} />
           </li>
         ))}
       </ul>
@@ -74,12 +85,72 @@ function picture(name: string, kind: "thumb.jpg" | "image.png"): string {
   return address(`targets/${encodeURIComponent(name)}/${kind}`);
 }
 
-function Card({ target, onOpen }: { target: Target; onOpen: () => void }) {
+/** What is marked, and what is done with all of it. */
+function Marked({ names, all, onMark }: { names: string[]; all: string[]; onMark: (names: string[]) => void }) {
+  const [asks, setAsks] = useState(false);
+  return (
+    <div class="row marked" role="group" aria-label="marked views">
+      <span class="soft">{names.length === 0 ? "none marked" : `${names.length} marked`}</span>
+      {names.length < all.length && (
+        <button type="button" class="small" onClick={() => onMark(all)}>
+          Mark all {all.length}
+        </button>
+      )}
+      {names.length > 0 && (
+        <button type="button" class="small" onClick={() => onMark([])}>
+          Mark none
+        </button>
+      )}
+      {names.length > 0 && (
+        <button type="button" class="small danger" onClick={() => setAsks(true)}>
+          Remove {names.length} …
+        </button>
+      )}
+      {asks && (
+        <Dialog title={names.length === 1 ? "Take this view out?" : `Take these ${names.length} views out?`} onClose={() => setAsks(false)}>
+          <p>{names.join(", ")}</p>
+          <p class="soft">{words.bin}</p>
+          <div class="row end">
+            <button type="button" autofocus onClick={() => setAsks(false)}>
+              Keep them
+            </button>
+            <button
+              type="button"
+              class="danger"
+              onClick={() => {
+                setAsks(false);
+                void removeAll(names).then(onMark);
+              }}
+            >
+              Yes, take them out
+            </button>
+          </div>
+        </Dialog>
+      )}
+    </div>
+  );
+}
+
+type CardOf = { target: Target; marked: boolean | null; onMark: (is: boolean) => void; onOpen: () => void };
+
+/** Whether it is marked; nothing where nobody may mark it. */
+function Mark({ name, marked, onMark }: { name: string; marked: boolean | null; onMark: (is: boolean) => void }) {
+  if (marked === null) return null;
+  return (
+    <label class="mark">
+      <span class="hidden">mark {name}</span>
+      <input type="checkbox" checked={marked} onChange={(e) => onMark(e.currentTarget.checked)} />
+    </label>
+  );
+}
+
+function Card({ target, marked, onMark, onOpen }: CardOf) {
   const may = use((m) => m.me?.may_move ?? false);
   const mayStart = useMayStart();
   if (target.damaged) {
     return (
       <article class="target">
+        <Mark name={target.name} marked={marked} onMark={onMark} />
         <h2>{target.name}</h2>
         <p class="bad">{target.damaged}</p>
       </article>
@@ -87,7 +158,8 @@ function Card({ target, onOpen }: { target: Target; onOpen: () => void }) {
   }
   const bar = scaleBar(target.um_per_px ?? null, target.width ?? 640);
   return (
-    <article class="target">
+    <article class={marked ? "target is-marked" : "target"}>
+      <Mark name={target.name} marked={marked} onMark={onMark} />
       <div class="picture">
         <button type="button" onClick={onOpen} aria-label={`open ${target.name}`}>
           <img alt="" src={picture(target.name, "thumb.jpg")} loading="lazy" />
