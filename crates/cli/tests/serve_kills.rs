@@ -17,7 +17,10 @@ use std::time::{Duration, Instant};
 
 const PATIENCE: Duration = Duration::from_secs(120);
 /// It is killed at some moment of so long, mostly early.
-const LONGEST: Duration = Duration::from_millis(2500);
+const LONGEST: Duration = Duration::from_millis(1800);
+
+/// Between two questions: more at once than a program may ask would be refused.
+const LOOK: Duration = Duration::from_millis(20);
 
 /// A server, and how it is asked: by the command line's door, or by a session.
 struct Served {
@@ -118,7 +121,7 @@ impl Served {
                 return Some(job);
             }
             assert!(began.elapsed() < PATIENCE, "{job}");
-            std::thread::sleep(Duration::from_millis(5));
+            std::thread::sleep(LOOK);
         }
     }
 
@@ -183,6 +186,7 @@ fn work(served: &Served, round: usize, ended: &AtomicBool, all: &Mutex<Acknowled
         threads.spawn(|| {
             while !ended.load(Ordering::SeqCst) {
                 let _ = served.ask("GET", "state", &Value::Null);
+                std::thread::sleep(LOOK);
             }
         });
     });
@@ -303,7 +307,7 @@ fn killed_at_any_moment_a_server_loses_nothing_that_it_acknowledged() {
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1_442_695_040_888_963_407);
         let share = (random >> 33) as f64 / (1u64 << 31) as f64;
-        let moment = LONGEST.mul_f64(share.powi(3));
+        let moment = LONGEST.mul_f64(share.powi(4));
         let (ended, served) = (AtomicBool::new(false), Mutex::new(served));
         std::thread::scope(|threads| {
             let pid = served.lock().unwrap().child.id().to_string();
