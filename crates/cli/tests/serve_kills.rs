@@ -242,6 +242,7 @@ fn microscope(here: &Path) -> common::served::Served {
 }
 
 #[test]
+#[expect(clippy::print_stdout, reason = "what the long form is run for")]
 fn killed_at_any_moment_a_server_loses_nothing_that_it_acknowledged() {
     let kills = std::env::var("SCOPESERVO_KILLS").ok();
     let kills: usize = kills.and_then(|n| n.parse().ok()).unwrap_or(20);
