@@ -3,10 +3,10 @@
 use crate::audit::Audit;
 use crate::desk::Desk;
 use crate::error::ApiError;
-use crate::guard::Need;
 use crate::limits::Rates;
 use crate::live::Live;
 use crate::names::Names;
+use crate::need::Need;
 use crate::people::{Caller, People};
 use crate::seat::Seat;
 use crate::standing::Standing;

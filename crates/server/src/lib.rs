@@ -25,6 +25,7 @@ mod listening;
 mod live;
 mod look;
 mod names;
+mod need;
 mod page;
 mod peer;
 mod people;

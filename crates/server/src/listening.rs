@@ -196,3 +196,42 @@ pub(crate) fn outward() -> io::Result<IpAddr> {
     socket.connect(SocketAddr::from(([192, 0, 2, 1], 9)))?;
     Ok(socket.local_addr()?.ip())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_address_has_so_many_connections_and_leaves_the_others_theirs() {
+        let listening = Listening::new(Router::new(), &["10.0.0.2".parse().unwrap()], 3);
+        let peer = |from: &str| {
+            let from = SocketAddr::new(from.parse().unwrap(), 50_000);
+            Peer::new(
+                from,
+                "10.0.0.5:7070".parse().unwrap(),
+                true,
+                &listening.proxies,
+            )
+        };
+        let taken = |from: &str, most: usize| {
+            let all = (0..most).map_while(|_| listening.place(&peer(from)));
+            all.collect::<Vec<_>>()
+        };
+        let mut one = taken("10.0.0.7", 10);
+        assert_eq!(one.len(), 3);
+        // Of IPv6 a network has as many as an address of the other kind.
+        let mut network = taken("2001:db8::1", 2);
+        network.extend(taken("2001:db8::2", 2));
+        assert_eq!(network.len(), 3);
+        // Somebody else has theirs; this computer and a proxy have more, and not all.
+        assert_eq!(taken("10.0.0.8", 10).len(), 3);
+        assert_eq!(taken("127.0.0.1", 300).len(), OF_ONE_NEAR);
+        assert_eq!(taken("10.0.0.2", 300).len(), OF_ONE_NEAR);
+        // Who goes makes room.
+        one.pop();
+        assert_eq!(taken("10.0.0.7", 10).len(), 1);
+        drop((one, network));
+        assert!(crate::lock(&listening.taken).is_empty());
+        assert_eq!(listening.places.available_permits(), CONNECTIONS);
+    }
+}

@@ -2,11 +2,11 @@
 
 use crate::app::App;
 use crate::error::ApiError;
-use crate::guard::Need;
 use crate::jog::Way;
 use crate::limits::Rates;
 use crate::live::{Live, Watching};
 use crate::look;
+use crate::need::Need;
 use crate::people::Caller;
 use crate::starting;
 use axum::body::Bytes;

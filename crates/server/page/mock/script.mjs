@@ -43,8 +43,9 @@ export function reposition(verdict) {
     coarse,
     { event: "phase_started", phase: "switch", objective: "40x" },
     { event: "phase_started", phase: "servo", objective: "40x" },
-    iteration("40x", 0, { um: 17.8, deg: 0.005, map: MAP(1, 0, -21, -27), inliers: 1888, matches: 2207, sigma_px: 2.5, promised: { error: { t_m: [-9e-6, -2e-6], theta_rad: 0 }, sigma_m: 4e-6, sigma_rad: 0.001 } }),
-    iteration("40x", 1, { um: 0.1, deg: 0.0003, map: MAP(1, 0, 0.1, 0.1), inliers: 2151, matches: 2582, sigma_px: 0.001, converged: true, promised: { error: { t_m: [0.4e-6, -0.2e-6], theta_rad: 0 }, sigma_m: 0.5e-6, sigma_rad: 0.0002 } }),
+    iteration("40x", 0, { um: 17.8, deg: 0.005, map: MAP(1, 0, -21, -27), inliers: 1888, matches: 2207, sigma_px: 0.0011 }),
+    iteration("40x", 1, { um: 3.8, deg: 0.002, map: MAP(1, 0, 12, 9), inliers: 1902, matches: 2210, sigma_px: 2.5, promised: { error: { t_m: [-4e-6, 1e-6], theta_rad: 0 }, sigma_m: 2e-6, sigma_rad: 0.001 } }),
+    iteration("40x", 2, { um: 0.1, deg: 0.0003, map: MAP(1, 0, 0.1, 0.1), inliers: 2151, matches: 2582, sigma_px: 0.001, converged: true, promised: { error: { t_m: [0.4e-6, -0.2e-6], theta_rad: 0 }, sigma_m: 0.5e-6, sigma_rad: 0.0002 } }),
     ...end,
   ];
 }

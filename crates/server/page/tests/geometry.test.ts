@@ -152,3 +152,18 @@ test("a step of a run knows where the stage stood, in the units that people read
   assert.equal(seen({ x: 0, y: 0 })?.rz_deg, undefined);
   assert.equal(seen(undefined), null);
 });
+
+test("a promise counts in the view of the objective that it was made with", () => {
+  const iteration = (objective: string, k: number, promised: unknown): EventRecord => ({
+    number: k, time_s: k, job: 1, from: "procedure", event: "iteration", objective, iteration: k, sequence: k, error: { t_m: [1e-6, 0], theta_rad: 0 },
+    sigma_px: 0.1, target_from_view: [[1, 0, 0], [0, 1, 0]], inliers: 9, matches: 9, pairs: [], converged: false, promised,
+  });
+  const promised = { error: { t_m: [2e-6, -3e-6], theta_rad: 0 }, sigma_m: 0.5e-6, sigma_rad: 0 };
+  const all = [iteration("10x", 0, null), iteration("10x", 1, promised), iteration("40x", 2, promised), iteration("40x", 3, promised), iteration("40x", 4, null)];
+  const { steps } = all.reduce(follow, EMPTY);
+  assert.deepEqual(steps.map((s) => s.promised !== null), [false, true, false, true, false]);
+  const [x, y] = steps[1].promised?.um ?? [0, 0];
+  near(x, 2);
+  near(y, -3);
+  near(steps[1].promised?.sigmaUm ?? 0, 0.5);
+});

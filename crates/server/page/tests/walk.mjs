@@ -169,7 +169,7 @@ async function others(browser, link, end) {
   const light = await opened(browser, link, SIZES.desk);
   await light.page.getByRole("button", { name: /^you are/ }).click();
   await light.page.getByLabel("Colours").selectOption("light");
-  await light.page.getByRole("button", { name: "Close" }).click();
+  await light.page.getByRole("dialog").getByRole("button", { name: "Close" }).click();
   await shoot(light.page, "desk", "light");
   await wellFormed(light.page, "light");
   await light.end();

@@ -2,8 +2,8 @@
 
 use super::route::{Answer, Route, Shared, aside, body, route};
 use crate::error::ApiError;
-use crate::guard::Need;
 use crate::look;
+use crate::need::Need;
 use crate::people::Caller;
 use crate::socket;
 use axum::extract::{Request, State};

@@ -3,7 +3,7 @@
 use super::route::{Answer, Named, Route, Shared, aside, body, route};
 use crate::asked::{JobRequest, Wish};
 use crate::error::ApiError;
-use crate::guard::Need;
+use crate::need::Need;
 use crate::people::Caller;
 use crate::starting;
 use axum::extract::{Request, State};

@@ -2,8 +2,8 @@
 
 use super::route::{Answer, Named, Route, Shared, Wanted, aside, body, file, route};
 use crate::error::ApiError;
-use crate::guard::Need;
 use crate::kept;
+use crate::need::Need;
 use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderName, HeaderValue};

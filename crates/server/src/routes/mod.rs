@@ -9,7 +9,8 @@ mod watch;
 
 use crate::app::App;
 use crate::error::ApiError;
-use crate::guard::{self, Need, require};
+use crate::guard::{self, require};
+use crate::need::Need;
 use crate::page;
 use axum::Router;
 use axum::extract::{Path, Request};

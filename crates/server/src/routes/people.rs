@@ -3,7 +3,8 @@
 use super::route::{Answer, Named, Route, Shared, aside, body, route};
 use crate::app::App;
 use crate::error::ApiError;
-use crate::guard::{Need, set_cookie};
+use crate::guard::set_cookie;
+use crate::need::Need;
 use crate::peer::{Peer, Whence};
 use crate::people::{Caller, Entered, Role};
 use axum::extract::{Request, State};

@@ -2,8 +2,8 @@
 
 use super::route::{Route, Shared, file, route};
 use crate::error::ApiError;
-use crate::guard::Need;
 use crate::live::{Live, parts};
+use crate::need::Need;
 use crate::people::Caller;
 use crate::socket;
 use axum::Extension;

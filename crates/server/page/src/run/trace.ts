@@ -14,7 +14,7 @@ export type Step = {
   matches: number;
   pairs: [number, number, number, number][];
   converged: boolean;
-  /** What the move before was to lead to: the error then, um, and its standard deviation; null where none was made. */
+  /** What the move before was to lead to: the error then, um, and its standard deviation; null where none was made with this objective. */
   promised: { um: [number, number]; sigmaUm: number } | null;
   /** Where the stage stood; null where an older log does not tell. */
   seenFrom: Place | null;
@@ -118,7 +118,10 @@ export function follow(trace: Trace, record: EventRecord): Trace {
     case "calibration_view":
       return { ...after, views: (record.index as number) + 1 };
     case "iteration": {
-      const next = step(record);
+      const seen = step(record);
+      // Where another objective looks lies beside what it handed over: its promise is none for this view.
+      const isHandedOver = after.steps.at(-1)?.objective !== seen.objective;
+      const next = isHandedOver ? { ...seen, promised: null } : seen;
       const now = next.converged ? `${next.objective}: within the tolerance, looking once more` : `${next.objective}: going there`;
       return { ...after, now, steps: [...after.steps, next].slice(-STEPS) };
     }
