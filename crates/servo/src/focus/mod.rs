@@ -21,6 +21,7 @@ mod search;
 mod sharpness;
 mod stale;
 mod state;
+mod sweep;
 
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress, withdrawn};
@@ -38,6 +39,7 @@ pub(crate) use state::depth_of_field_um;
 pub use options::{FocusOptions, FocusResult};
 pub use sharpness::sharpness;
 pub use state::Focus;
+pub use sweep::{FocusSweep, SweepEnd};
 
 /// Blur that is not the same above and below moves the fitted peak by so much of the depth of field.
 const ASYMMETRY: f64 = 0.05;
@@ -74,9 +76,11 @@ impl Focus {
         sink: &mut dyn Sink,
         z_um: f64,
     ) -> Result<(), ServoError> {
+        let begun = scope.clock().now();
         let z_um = Self::go(scope, z_um)?;
         self.last_um = Some(z_um);
         let frame = grab(scope, sink, FrameRole::Focus, &self.objective.id)?;
+        self.look_s = Some(scope.clock().now().since(begun).as_secs_f64());
         let measure = self.options.measure.measure();
         let sample = Sample::of(&frame, z_um, measure, self.levels());
         let at = self.samples.partition_point(|s| s.z_um <= z_um);
@@ -106,6 +110,10 @@ impl Focus {
         }
         if self.start_um.is_none() {
             self.begin(scope)?;
+            return Ok(Progress::Continue);
+        }
+        if self.sweep_due {
+            self.sweep(scope, sink)?;
             return Ok(Progress::Continue);
         }
         if !self.plan_um.is_empty() {

@@ -15,6 +15,8 @@ pub struct FocusOptions {
     pub measure: Measure,
     /// What is sharper by less than this factor is no focus.
     pub min_contrast: f64,
+    /// Whether the coarse scan is one slow motion, during which frames are grabbed, where that is expected to save time.
+    pub sweep: bool,
 }
 
 impl Default for FocusOptions {
@@ -24,6 +26,7 @@ impl Default for FocusOptions {
             nearest_um: 200.0,
             measure: Measure::default(),
             min_contrast: 1.04,
+            sweep: false,
         }
     }
 }
