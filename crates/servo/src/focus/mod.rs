@@ -36,10 +36,9 @@ pub(crate) use point::Point;
 pub(crate) use sample::Sample;
 pub(crate) use state::depth_of_field_um;
 
-pub use options::{FocusOptions, FocusResult};
+pub use options::{FocusOptions, FocusResult, FocusSweep, SweepEnd};
 pub use sharpness::sharpness;
 pub use state::Focus;
-pub use sweep::{FocusSweep, SweepEnd};
 
 /// Blur that is not the same above and below moves the fitted peak by so much of the depth of field.
 const ASYMMETRY: f64 = 0.05;

@@ -6,6 +6,7 @@
 //! goes on as if there had been no sweep. So play, late images and wrong stamps cost time and no accuracy.
 
 use super::curve::Curve;
+use super::options::{FocusSweep, SweepEnd};
 use super::sample::Sample;
 use super::search::{CLOSER, Decision, FINER, TIMES};
 use super::state::{Focus, Step, height};
@@ -13,7 +14,6 @@ use crate::event::tell;
 use crate::vision::grab;
 use crate::{Event, FrameRole, ServoError, Sink};
 use scopeservo_scope::{Axis, ErrorKind, Frame, Instrument, ScopeError};
-use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// A frame during which it went so many times as far does not count.
@@ -26,39 +26,6 @@ const LEAST_FRAMES: usize = 4;
 const MOST_FRAMES: usize = 64;
 /// A look of the settled scan takes so many moves on average: half of them come from the other side.
 const MOVES: f64 = 1.5;
-
-/// What came of a sweep. Stable words: added to, never renamed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SweepEnd {
-    /// A peak was seen, and looked at closer.
-    Found,
-    /// The camera is too slow, or the stage settles too fast, for a sweep to save time: none was made.
-    NoFaster,
-    /// The stage has one speed, or refused the move: none was made.
-    Refused,
-    /// The stage did not tell where it was while it moved, or too few frames came, or their time stamps cannot be: nothing counted.
-    Unknown,
-    /// No peak was seen.
-    NoPeak,
-}
-
-/// A coarse scan in motion.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct FocusSweep {
-    /// Lowest and highest z that were swept, um; both where the sweep began when none was made.
-    pub range_um: [f64; 2],
-    /// How fast, um/s.
-    pub um_per_s: f64,
-    /// Frames that were taken in motion.
-    pub frames: usize,
-    /// Those whose height is known.
-    pub counted: usize,
-    /// What came of it. All but [`SweepEnd::Found`] is followed by the settled scan.
-    pub end: SweepEnd,
-    /// Where the peak seemed to lie, um.
-    pub near_um: Option<f64>,
-}
 
 /// A frame that was taken in motion, with the stage's answers about it: seconds and um.
 struct Taken {

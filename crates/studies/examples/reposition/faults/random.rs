@@ -353,7 +353,7 @@ fn run(
         broke: Arc::clone(&broke),
         frames_after: 0,
         outside: 0.0,
-        nearest_um: f64::NEG_INFINITY,
+        nearest_um: twin.truth_now().defocus_um,
         trace,
     };
     let (broken, what, mut rng) = (twin.clone(), kind.what, SplitMix64::new(0xFA17 ^ index));
