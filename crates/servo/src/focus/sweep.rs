@@ -176,11 +176,17 @@ impl Focus {
                     ..self.told(&taken, um_per_s, SweepEnd::Found)
                 });
             }
-            if 2 * known(&taken, spacing_um).len() <= taken.len() {
+            let placed = taken.iter().filter(|t| t.z_um(spacing_um).is_some());
+            let few = known(&taken, spacing_um).len() < LEAST_FRAMES.min(taken.len());
+            if few || 2 * placed.count() <= taken.len() {
                 return Ok(self.told(&taken, um_per_s, SweepEnd::Unknown));
             }
         }
-        Ok(self.told(&taken, um_per_s, SweepEnd::NoPeak))
+        let end = match known(&taken, spacing_um).len() < LEAST_FRAMES {
+            true => SweepEnd::Unknown,
+            false => SweepEnd::NoPeak,
+        };
+        Ok(self.told(&taken, um_per_s, end))
     }
 
     /// From one frame to the next with the stage's answer, s, as it is in motion.
