@@ -19,6 +19,8 @@ pub(crate) enum When {
     Fixed,
     /// At a moment drawn over the whole run: during focus, change of the objective, step or evidence.
     Random,
+    /// The same in the last eighth of it, where a run makes sure.
+    Late,
 }
 
 /// How many runs, and where they are kept.
@@ -38,8 +40,10 @@ pub(crate) fn study(
     (when, named): (When, &str),
     known: &[Known],
 ) -> Outcome<usize> {
-    if when == When::Random {
-        return random::study(many, named, known);
+    match when {
+        When::Fixed => {}
+        When::Random => return random::study(many, ("random", 1.0), named, known),
+        When::Late => return random::study(many, ("late", 0.125), named, known),
     }
     let kinds = kinds::all();
     let of = |index: u64| &kinds[(index / EACH) as usize];

@@ -396,10 +396,16 @@ fn run(
     Ok(record)
 }
 
-/// Makes the runs and their table; returns how many ended as none may.
-pub(super) fn study(many: &Many<'_>, named: &str, known: &[Known]) -> Outcome<usize> {
+/// Makes the runs and their table, with faults in the last part of each run that is this share of it; returns how many ended as none may.
+pub(super) fn study(
+    many: &Many<'_>,
+    (when, last): (&str, f64),
+    named: &str,
+    known: &[Known],
+) -> Outcome<usize> {
     let whole = |k: u64| run((&KINDS[0], k, 2.0), 1e3, known, false);
-    let moment = |k: u64| SplitMix64::new(0x0AB0 ^ k.wrapping_mul(0x9E37_79B9_7F4A_7C15)).uniform();
+    let even = |k: u64| SplitMix64::new(0x0AB0 ^ k.wrapping_mul(0x9E37_79B9_7F4A_7C15)).uniform();
+    let moment = |k: u64| 1.0 - last * even(k);
     let kind = |k: u64| &KINDS[(k / super::EACH) as usize];
     if let Some(k) = many.only {
         let whole_s = whole(k % super::EACH)?.seconds;
@@ -407,7 +413,7 @@ pub(super) fn study(many: &Many<'_>, named: &str, known: &[Known]) -> Outcome<us
         println!("{}", serde_json::to_string_pretty(&record)?);
         return Ok(0);
     }
-    let file = |name: &str| many.out.join(format!("faults-random-{name}.jsonl"));
+    let file = |name: &str| many.out.join(format!("faults-{when}-{name}.jsonl"));
     let scenes: Vec<u64> = (0..many.count).collect();
     let index = |r: &Record| r.index;
     let wholes = rounds(&file("whole"), &scenes, many.threads, index, whole)?;
