@@ -294,30 +294,35 @@ fn a_calibration_that_drifted_is_told_with_what_is_off_and_the_run_goes_on() {
 /// A camera that freezes once a view has passed would confirm it by the same image, wherever the specimen went meanwhile.
 #[test]
 fn the_image_that_is_to_be_confirmed_confirms_nothing() {
-    let push = |twin: &Twin, um: f64| {
-        twin.fault(StageFault::LostSteps {
-            axis: Axis::X,
-            si: um * 1e-6,
-        });
-    };
     let good = calibration();
-    for (pushed_um, drifts_um_per_s) in [(0.0, 0.0), (40.0, 0.0), (-7.0, 0.0), (0.0, 5.0)] {
+    for (nth, pushed_um, drifts_um_per_s) in [
+        (1, 40.0, 0.0),
+        (2, 0.0, 0.0),
+        (2, 40.0, 0.0),
+        (2, -7.0, 0.0),
+        (2, 0.0, 5.0),
+    ] {
         let bench = turntable();
         let (target, truth) = bench.save();
         bench.twin.remount(PLACE_UM, [38.0, -45.0], 5.0, false);
-        let mut broke = false;
+        let mut passed = 0;
         let mut sink = common::Listener(|event: &Event| {
-            if matches!(
+            if !matches!(
                 event,
                 Event::Iteration {
                     converged: true,
                     ..
                 }
-            ) && !broke
-            {
-                broke = true;
+            ) {
+                return;
+            }
+            passed += 1;
+            if passed == nth {
                 bench.twin.fault(StageFault::FrozenCamera(true));
-                push(&bench.twin, pushed_um);
+                bench.twin.fault(StageFault::LostSteps {
+                    axis: Axis::X,
+                    si: pushed_um * 1e-6,
+                });
                 bench.twin.fault(StageFault::Drift {
                     um_per_s: [drifts_um_per_s, 0.0, 0.0],
                 });
@@ -328,7 +333,7 @@ fn the_image_that_is_to_be_confirmed_confirms_nothing() {
         let outcome = run(&mut reposition, &bench.scope, &mut sink).unwrap();
         let off = bench.error_from(&truth);
         let what = format!(
-            "{pushed_um} {drifts_um_per_s}: {off:?}, {}",
+            "{nth} of {passed} {pushed_um} {drifts_um_per_s}: {off:?}, {}",
             outcome.message
         );
         assert_eq!(outcome.verdict, Verdict::Refused, "{what}");

@@ -20,28 +20,23 @@ const NOISY: u32 = 3;
 /// What the images of a stage at rest have shown.
 #[derive(Debug, Default)]
 pub(super) struct AtRest {
-    /// Images that differed from the one before; `None` once one was the same before noise was known.
-    differed: Option<u32>,
-    begun: bool,
+    /// Images that differed from the one before.
+    differed: u32,
+    /// Whether one was the same before noise was known: the camera may have none.
+    quiet: bool,
     /// Whether the last one was the same, of a camera that has noise.
     again: bool,
 }
 
 impl AtRest {
-    /// Takes the next image of a stage that has not moved. Returns nothing: [`AtRest::again`] tells.
+    /// Takes the next image of a stage that has not moved: whether it is the same as the one before.
     fn take(&mut self, same: bool) {
-        let before = match self.begun {
-            true => self.differed,
-            false => Some(0),
-        };
-        self.begun = true;
-        let noisy = before.is_some_and(|n| n >= NOISY);
+        let noisy = !self.quiet && self.differed >= NOISY;
         self.again = same && noisy;
-        self.differed = match (before, same) {
-            (Some(n), false) => Some(n.saturating_add(1)),
-            (known, true) if noisy => known,
-            _ => None,
-        };
+        match same {
+            false => self.differed = self.differed.saturating_add(1),
+            true => self.quiet |= !noisy,
+        }
     }
 
     /// Whether the last image was the very same as the one before it, of a camera whose images at rest differ.
