@@ -94,6 +94,30 @@ fn axes_move_and_read_back_in_steps() {
 }
 
 #[test]
+fn a_slow_move_goes_at_its_own_feed_and_never_above_the_usual_one() {
+    let (emulator, stage) = plain();
+    // 10 mm/s is the usual speed.
+    for (um, m_per_s, feed) in [
+        (20.0, 1e-3, "F60.00"),
+        (40.0, 2.5e-4, "F15.00"),
+        (60.0, 0.5, "F600.00"),
+    ] {
+        let to = pose(Axis::Z, um * 1e-6);
+        stage.start_move_at(&to, m_per_s).unwrap();
+        assert_eq!(wait(&stage), Motion::Settled);
+        let heard = emulator.heard();
+        let go = heard.iter().rfind(|line| line.contains("G1 ")).unwrap();
+        assert!(go.contains(feed), "{go}");
+        assert_eq!(emulator.truth()[2], um * 1e-3);
+    }
+    for m_per_s in [0.0, -1e-3, f64::NAN, f64::INFINITY] {
+        let sent = emulator.heard().len();
+        assert!(stage.start_move_at(&pose(Axis::Z, 0.0), m_per_s).is_err());
+        assert_eq!(emulator.heard().len(), sent);
+    }
+}
+
+#[test]
 fn positions_are_those_of_the_steppers_also_during_motion() {
     let (emulator, stage) = plain();
     stage.start_move(&pose(Axis::X, 20e-3)).unwrap();

@@ -4,6 +4,7 @@ use crate::model::Report;
 use crate::svg::{Attr, Canvas, Mark, Panel, Scale};
 use crate::text::{count, escape, fixed};
 use crate::told::Sweep;
+use scopeservo_servo::{FocusSweep, SweepEnd};
 use std::fmt::Write as _;
 
 pub(crate) fn section(r: &Report<'_>) -> String {
@@ -72,9 +73,33 @@ fn figure(sweep: &Sweep<'_>) -> String {
         None => format!("no peak in {}, so no focus.", count(points.len(), "frame")),
     };
     format!(
-        "<figure>{}<figcaption><b>{}</b>: {caption}</figcaption></figure>\n",
+        "<figure>{}<figcaption><b>{}</b>: {caption}{}</figcaption></figure>\n",
         c.finish(),
-        escape(objective)
+        escape(objective),
+        sweep.in_motion.map_or(String::new(), in_motion)
+    )
+}
+
+/// The coarse scan in motion, and why it was none.
+fn in_motion(sweep: &FocusSweep) -> String {
+    let why = match sweep.end {
+        SweepEnd::Found => "",
+        SweepEnd::NoFaster => {
+            return " A coarse scan in motion would have saved no time: it was made at rest."
+                .into();
+        }
+        SweepEnd::Refused => {
+            return " The stage does not move as slowly as it is told: the coarse scan was made at rest."
+                .into();
+        }
+        SweepEnd::Unknown => "; the heights of too few are known, so it was made again at rest",
+        SweepEnd::NoPeak => "; no peak was seen, so it was made again at rest",
+    };
+    format!(
+        " Coarse scan in motion at {} µm/s: {}, of which {} count{why}.",
+        fixed(sweep.um_per_s, 0),
+        count(sweep.frames, "frame"),
+        sweep.counted
     )
 }
 

@@ -82,6 +82,7 @@ impl<'a> Timeline<'a> {
             Event::FocusSample { z_um, sharpness } => {
                 self.sweep(None).samples.push([*z_um, *sharpness]);
             }
+            Event::FocusSwept { sweep } => self.sweep(None).in_motion = Some(sweep),
             Event::Focused { objective, result } => {
                 self.sweep(Some(objective)).result = Some(result)
             }
@@ -227,6 +228,7 @@ impl<'a> Timeline<'a> {
                 objective: Some(objective),
                 samples: Vec::new(),
                 result: None,
+                in_motion: None,
             }),
             Phase::Calibrate => self.calibrations.push(Calibrating {
                 objective,
@@ -268,6 +270,7 @@ impl<'a> Timeline<'a> {
                 objective,
                 samples: Vec::new(),
                 result: None,
+                in_motion: None,
             });
         }
         self.sweeps.last_mut().expect("one was just opened")

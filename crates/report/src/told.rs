@@ -3,8 +3,8 @@
 use scopeservo_geometry::Affine2;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{
-    Calibration, ChainPlace, ChainView, FocusResult, Phase, PixelsSeen, PoseError, Promised,
-    Velocity,
+    Calibration, ChainPlace, ChainView, FocusResult, FocusSweep, Phase, PixelsSeen, PoseError,
+    Promised, Velocity,
 };
 
 /// One frame of the servo in which the target was seen.
@@ -60,6 +60,8 @@ pub(crate) struct Sweep<'a> {
     /// (height um, sharpness).
     pub(crate) samples: Vec<[f64; 2]>,
     pub(crate) result: Option<&'a FocusResult>,
+    /// Its coarse scan in motion.
+    pub(crate) in_motion: Option<&'a FocusSweep>,
 }
 
 /// One view of a chain of views.

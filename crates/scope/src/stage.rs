@@ -201,6 +201,13 @@ pub trait Stage: Send + Sync {
     fn position(&self) -> Result<StagePose, ScopeError>;
     /// Starts a move of all given axes together and returns at once. Refused while another move runs.
     fn start_move(&self, to: &StagePose) -> Result<(), ScopeError>;
+    /// The same at a speed along the way, m/s, where it is below the usual one. A stage that has one speed refuses, and nothing moves.
+    fn start_move_at(&self, _to: &StagePose, _m_per_s: f64) -> Result<(), ScopeError> {
+        Err(ScopeError::Refused {
+            device: "stage",
+            detail: "its speed cannot be chosen".into(),
+        })
+    }
     /// What the stage is doing.
     fn poll(&self) -> Result<Motion, ScopeError>;
     /// Stops at once, wherever it is. Harmless when nothing moves.
@@ -228,6 +235,9 @@ impl<T: Stage + ?Sized> Stage for Arc<T> {
     }
     fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
         (**self).start_move(to)
+    }
+    fn start_move_at(&self, to: &StagePose, m_per_s: f64) -> Result<(), ScopeError> {
+        (**self).start_move_at(to, m_per_s)
     }
     fn poll(&self) -> Result<Motion, ScopeError> {
         (**self).poll()

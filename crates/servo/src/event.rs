@@ -3,7 +3,8 @@
 use crate::calibrate::told::{ChainPlace, ChainView};
 use crate::pixels_seen::PixelsSeen;
 use crate::{
-    Calibration, FocusResult, Identity, Outcome, PoseError, Promised, Remark, TiltReport, Velocity,
+    Calibration, FocusResult, FocusSweep, Identity, Outcome, PoseError, Promised, Remark,
+    TiltReport, Velocity,
 };
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::NotFound;
@@ -92,6 +93,11 @@ pub enum Event {
         z_um: f64,
         /// What the measure answers, over the light, as a size: the noise's share taken off where the measure can.
         sharpness: f64,
+    },
+    /// The coarse scan of a focus was made in motion, or not.
+    FocusSwept {
+        /// What came of it.
+        sweep: FocusSweep,
     },
     /// A focus was found.
     Focused {

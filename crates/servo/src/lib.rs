@@ -59,7 +59,9 @@ pub use calibration::{Backlash, CALIBRATION_SCHEMA, Calibration, EXAMPLE_MOVE, I
 pub use code::{ErrorCode, ErrorKind, Remedy};
 pub use error::ServoError;
 pub use event::{Event, FrameRole, NoSink, Phase, Sink, Stamped};
-pub use focus::{Focus, FocusMeasure, FocusOptions, FocusResult, Measure, sharpness};
+pub use focus::{
+    Focus, FocusMeasure, FocusOptions, FocusResult, FocusSweep, Measure, SweepEnd, sharpness,
+};
 pub use grid_check::{
     Compared, Comparison, GridCheck, GridOptions, GridReading, GridReport, Known, Quantity,
     StageSeen, compare_with,

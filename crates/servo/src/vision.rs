@@ -4,9 +4,14 @@ use crate::event::tell;
 use crate::{Event, FrameRole, ServoError, Sink};
 use scopeservo_features::{Engine, FeatureError, Features, GrayImage};
 use scopeservo_registration::{Prior, Registration, RotationPrior, ScalePrior, register};
-use scopeservo_scope::{FlatField, Frame, Instrument, ObjectiveId};
+use scopeservo_scope::{FlatField, Frame, Instrument, ObjectiveId, ScopeError};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+use std::time::Duration;
+
+/// So long an image is waited for that differs from the one before, and so often it is looked for.
+const FROZEN: Duration = Duration::from_secs(2);
+const POLL: Duration = Duration::from_millis(50);
 
 /// The engine, its budgets and the registration settings of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -88,6 +93,27 @@ pub(crate) fn grab(
     tell(scope, sink, event);
     scope.check_new(&frame)?;
     Ok(frame)
+}
+
+/// The same, and never the image that came before once more: it could not confirm that one. A camera that shows nothing new for so long is frozen.
+pub(crate) fn grab_another(
+    scope: &Instrument,
+    sink: &mut dyn Sink,
+    role: FrameRole,
+    objective: &ObjectiveId,
+) -> Result<Arc<Frame>, ServoError> {
+    let begun = scope.clock().now();
+    loop {
+        let frame = grab(scope, sink, role, objective)?;
+        if !scope.shows_again() {
+            return Ok(frame);
+        }
+        if scope.clock().now().since(begun) > FROZEN {
+            return Err(ScopeError::Frozen { device: "camera" }.into());
+        }
+        scope.clock().sleep(POLL);
+        scope.check_cancel()?;
+    }
 }
 
 /// A frame's luminance, without what is known to lie on the camera.

@@ -290,3 +290,54 @@ fn a_calibration_that_drifted_is_told_with_what_is_off_and_the_run_goes_on() {
     let (outcome, _, _) = come_back(&good, |_| {});
     assert_eq!(outcome.remarks, []);
 }
+
+/// A camera that freezes once a view has passed would confirm it by the same image, wherever the specimen went meanwhile.
+#[test]
+fn the_image_that_is_to_be_confirmed_confirms_nothing() {
+    let good = calibration();
+    for (nth, pushed_um, drifts_um_per_s) in [
+        (1, 40.0, 0.0),
+        (2, 0.0, 0.0),
+        (2, 40.0, 0.0),
+        (2, -7.0, 0.0),
+        (2, 0.0, 5.0),
+    ] {
+        let bench = turntable();
+        let (target, truth) = bench.save();
+        bench.twin.remount(PLACE_UM, [38.0, -45.0], 5.0, false);
+        let mut passed = 0;
+        let mut sink = common::Listener(|event: &Event| {
+            if !matches!(
+                event,
+                Event::Iteration {
+                    converged: true,
+                    ..
+                }
+            ) {
+                return;
+            }
+            passed += 1;
+            if passed == nth {
+                bench.twin.fault(StageFault::FrozenCamera(true));
+                bench.twin.fault(StageFault::LostSteps {
+                    axis: Axis::X,
+                    si: pushed_um * 1e-6,
+                });
+                bench.twin.fault(StageFault::Drift {
+                    um_per_s: [drifts_um_per_s, 0.0, 0.0],
+                });
+            }
+        });
+        let known = [(good.objective.clone(), good.clone())];
+        let mut reposition = Reposition::new(target, options()).with_calibrations(known);
+        let outcome = run(&mut reposition, &bench.scope, &mut sink).unwrap();
+        let off = bench.error_from(&truth);
+        let what = format!(
+            "{nth} of {passed} {pushed_um} {drifts_um_per_s}: {off:?}, {}",
+            outcome.message
+        );
+        assert_eq!(outcome.verdict, Verdict::Refused, "{what}");
+        assert_eq!(outcome.reason, Reason::NothingMoves, "{what}");
+        assert!(outcome.message.contains("frozen"), "{what}");
+    }
+}

@@ -2,7 +2,7 @@
 
 use crate::affine::Affine;
 use crate::inner::{Inner, State};
-use crate::optics::{View, principal_point};
+use crate::optics::{View, depth_of_field_um, principal_point};
 use crate::render::{blend, instants, render};
 use crate::scene::{Planes, Scene};
 use crate::sensor::Exposure;
@@ -34,6 +34,11 @@ struct Band {
 
 /// A camera that is silent is given up after this.
 const SILENCE: Duration = Duration::from_secs(2);
+
+/// A focus that moves by less than this share of the depth of field during an exposure is seen as that of its middle.
+const LEVEL: f64 = 0.25;
+/// Instants of an exposure that are looked at, at the most.
+const MOST_INSTANTS: usize = 16;
 
 /// Into how many bands a frame is cut whose rows see the image move unevenly.
 const BANDS: usize = 8;
@@ -118,12 +123,15 @@ impl TwinCamera {
         }
     }
 
-    /// Whether the image moves by more than a quarter of a pixel otherwise than evenly between two moments.
+    /// Whether the image moves by more than a quarter of a pixel otherwise than evenly between two moments, or its focus does at all.
     fn is_uneven(&self, state: &State, from: f64, to: f64) -> bool {
         let camera = &self.0.config.camera;
         let middle = principal_point(camera.width, camera.height);
         let at = |share: f64| self.0.view(state, from + share * (to - from));
         let (first, last) = (at(0.0), at(1.0));
+        if self.depths(&[&first, &at(0.5), &last]) >= LEVEL {
+            return true;
+        }
         let ends = [&first, &last].map(|v| v.specimen_from_pixel.apply(middle));
         (1..2 * BANDS).any(|i| {
             let share = i as f64 / (2 * BANDS) as f64;
@@ -131,6 +139,18 @@ impl TwinCamera {
             let off = |k: usize| here[k] - (1.0 - share) * ends[0][k] - share * ends[1][k];
             off(0).hypot(off(1)) > 0.25 * first.um_per_px()
         })
+    }
+
+    /// How far the focus moves from view to view, in depths of field.
+    fn depths(&self, views: &[&View]) -> f64 {
+        let optics = &self.0.config.optics[views[0].objective];
+        // While the nosepiece turns there is no light.
+        let way = |v: &[&View]| match v[0].objective == v[1].objective {
+            true => (v[1].defocus_um - v[0].defocus_um).abs(),
+            false => 0.0,
+        };
+        let all: f64 = views.windows(2).map(way).sum();
+        all / depth_of_field_um(optics.numerical_aperture)
     }
 
     /// The views of one exposure of some rows, which begins with the first at `times[0]` and would with the one after the last at `times[1]`:
@@ -153,7 +173,14 @@ impl TwinCamera {
             view
         };
         let three = [at(0.0), at(0.5), at(1.0)];
-        let (count, gap_px) = instants(&three, camera.width, camera.height);
+        let (lateral, gap_px) = instants(&three, camera.width, camera.height);
+        // What passes through the focus is seen sharp for a moment: the instants lie no farther apart than the depth of field.
+        let [first, middle, last] = &three;
+        let depths = self.depths(&[first, middle, last]);
+        let count = match depths < LEVEL {
+            true => lateral,
+            false => lateral.max((depths.ceil() as usize).clamp(3, MOST_INSTANTS)),
+        };
         if count == 1 {
             let [_, middle, _] = three;
             return (vec![middle], 0.0);
@@ -162,6 +189,7 @@ impl TwinCamera {
             .map(|i| at((i as f64 + 0.5) / count as f64))
             .collect();
         // A third of the gap, as a standard deviation, closes it without widening the smear much.
+        let gap_px = gap_px * lateral as f64 / count as f64;
         (views, if gap_px > 1.0 { gap_px / 3.0 } else { 0.0 })
     }
 

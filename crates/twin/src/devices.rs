@@ -21,6 +21,16 @@ impl Stage for TwinStage {
         let now = self.0.now();
         self.0.plugged("stage")?.stage.start_move(to, now)
     }
+    fn start_move_at(&self, to: &StagePose, m_per_s: f64) -> Result<(), ScopeError> {
+        if !(m_per_s > 0.0 && m_per_s.is_finite()) {
+            return Err(ScopeError::BadSetting {
+                what: format!("a speed is above 0; {m_per_s} m/s was asked for"),
+            });
+        }
+        let now = self.0.now();
+        let mut state = self.0.plugged("stage")?;
+        state.stage.start_move_at(to, m_per_s, now)
+    }
     fn poll(&self) -> Result<Motion, ScopeError> {
         let now = self.0.now();
         Ok(self.0.plugged("stage")?.stage.motion(now))

@@ -255,6 +255,16 @@ impl StageState {
     }
 
     pub(crate) fn start_move(&mut self, to: &StagePose, now: f64) -> Result<(), ScopeError> {
+        self.start_move_at(to, f64::INFINITY, now)
+    }
+
+    /// The same with no linear axis faster than this, m/s.
+    pub(crate) fn start_move_at(
+        &mut self,
+        to: &StagePose,
+        m_per_s: f64,
+        now: f64,
+    ) -> Result<(), ScopeError> {
         self.config.info().check_goal(to)?;
         if self.motion(now) == Motion::Moving {
             return Err(ScopeError::Busy { device: "stage" });
@@ -280,7 +290,12 @@ impl StageState {
             if goal[i] != from[i] {
                 moved[i] = true;
                 self.direction[i] = (goal[i] - from[i]).signum();
-                whole = whole.max((goal[i] - from[i]).abs() / (a.speed * coarse_si(a.axis)));
+                let usual = a.speed * coarse_si(a.axis);
+                let speed = match a.axis.is_rotation() {
+                    true => usual,
+                    false => usual.min(m_per_s),
+                };
+                whole = whole.max((goal[i] - from[i]).abs() / speed);
             }
         }
         let any = moved.contains(&true);

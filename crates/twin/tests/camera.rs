@@ -309,3 +309,105 @@ fn a_hair_drifts_through_the_image() {
     bench.twin.fault(StageFault::Hair(None));
     assert_eq!(shown(&bench.grab()), clean);
 }
+
+/// How much of the stripes is seen in some rows.
+fn contrast(picture: &[f32], rows: std::ops::Range<usize>) -> f64 {
+    let of = |row: usize| {
+        let row = &picture[row * 640..(row + 1) * 640];
+        let (low, high) = row
+            .iter()
+            .fold((f32::MAX, f32::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
+        f64::from((high - low) / (high + low))
+    };
+    let n = rows.len() as f64;
+    rows.map(of).sum::<f64>() / n
+}
+
+/// What moves through the focus while it is exposed looks as the mean of the heights that it was at, and each row of a rolling shutter as at its own time.
+#[test]
+fn a_frame_that_is_taken_while_the_focus_moves_shows_all_heights_that_it_passed() {
+    let period_um = 6.0 * 1e6 / 448_672.0;
+    for (um_per_s, exposure_ms) in [(3000.0, 20.0), (1500.0, 20.0), (5000.0, 5.0)] {
+        for rolling in [false, true] {
+            let mut differs: f64 = 0.0;
+            let config = camera(|c| {
+                c.camera.rolling = rolling;
+                c.camera.readout_ms = 20.0;
+                (c.camera.exposure_ms, c.camera.nominal_exposure_ms) = (exposure_ms, exposure_ms);
+            });
+            let bench = Bench::new(config, stripes(period_um));
+            // From too far to too near, in the middle of it the focus.
+            let z = |bench: &Bench| bench.stage.position().unwrap().si(Axis::Z).unwrap();
+            bench.focus(0.0);
+            let sharp = z(&bench);
+            let at = |um: f64| StagePose::default().with_si(Axis::Z, sharp + um * 1e-6);
+            bench.move_to(at(-120.0));
+            bench
+                .stage
+                .start_move_at(&at(120.0), um_per_s * 1e-6)
+                .unwrap();
+            let reaches = 120.0 / um_per_s + 0.010;
+            bench.sleep(reaches - 0.5e-3 * exposure_ms - if rolling { 0.02 } else { 0.01 });
+            let moving = bench.grab();
+            let start = bench.twin.truth(moving.sequence).unwrap();
+            let picture = shown(&moving);
+            while bench.stage.poll().unwrap() == scopeservo_scope::Motion::Moving {
+                bench.sleep(0.01);
+            }
+            // The truth's height is that of the middle of the exposure of the middle row.
+            let per_row_um = if rolling {
+                um_per_s * 0.020 / 480.0
+            } else {
+                0.0
+            };
+            for row in [40, 240, 440] {
+                let middle = start.defocus_um + per_row_um * (row as f64 - 240.0);
+                let way = um_per_s * 1e-3 * exposure_ms;
+                let heights = 8;
+                let mean = (0..heights)
+                    .map(|k| {
+                        let um = middle + way * ((f64::from(k) + 0.5) / f64::from(heights) - 0.5);
+                        bench.move_to(at(um));
+                        contrast(&shown(&bench.grab()), row - 8..row + 8)
+                    })
+                    .sum::<f64>()
+                    / f64::from(heights);
+                let seen = contrast(&picture, row - 8..row + 8);
+                bench.move_to(at(middle));
+                differs =
+                    differs.max((contrast(&shown(&bench.grab()), row - 8..row + 8) - mean).abs());
+                assert!(
+                    (seen - mean).abs() < 0.03 + 0.05 * mean,
+                    "{um_per_s} um/s, rolling {rolling}, row {row}, {middle:.1} um: {seen:.3} and not {mean:.3}"
+                );
+            }
+            assert!(
+                differs > 0.02,
+                "no height by itself looks like that: {differs}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_stage_goes_as_slowly_as_it_is_told_and_no_faster_than_it_can() {
+    let bench = Bench::new(camera(|_| {}), grey(0.5));
+    for (um_per_s, seconds) in [(500.0, 1.02), (2500.0, 0.22), (1e6, 0.07)] {
+        let here = bench.stage.position().unwrap().si(Axis::Z).unwrap();
+        let to = StagePose::default().with_si(Axis::Z, here + 0.5e-3);
+        let begun = bench.clock.now();
+        bench.stage.start_move_at(&to, um_per_s * 1e-6).unwrap();
+        while bench.stage.poll().unwrap() == scopeservo_scope::Motion::Moving {
+            bench.sleep(0.001);
+        }
+        let took =
+            bench.clock.now().since(begun).as_secs_f64() - bench.twin.config().stage.settle_s;
+        assert!((took - seconds).abs() < 0.005, "{um_per_s} um/s: {took} s");
+    }
+    let here = bench.stage.position().unwrap();
+    for m_per_s in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let to = StagePose::default().with_si(Axis::Z, 1e-3);
+        assert!(bench.stage.start_move_at(&to, m_per_s).is_err());
+        assert_eq!(bench.stage.position().unwrap(), here);
+    }
+}

@@ -78,6 +78,9 @@ pub(crate) struct FocusingArgs {
     /// How sharpness is measured. With a noisy camera the paper's measure is mostly noise.
     #[arg(long, value_enum, default_value = "laplacian")]
     measure: MeasureArg,
+    /// Look for the focus in one slow motion first, where that is expected to save time. Needs a stage whose speed can be chosen.
+    #[arg(long)]
+    sweep: bool,
 }
 
 impl FocusingArgs {
@@ -91,6 +94,7 @@ impl FocusingArgs {
             half_range_um: self.range_um,
             nearest_um: self.range_um,
             measure: self.measure.into(),
+            sweep: self.sweep,
             ..FocusOptions::default()
         })
     }

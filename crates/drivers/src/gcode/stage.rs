@@ -104,6 +104,17 @@ impl Stage for GcodeStage {
         self.start(Part::Stage, &targets, self.feed_mm_per_min)
     }
 
+    fn start_move_at(&self, to: &StagePose, m_per_s: f64) -> Result<(), ScopeError> {
+        if !(m_per_s > 0.0 && m_per_s.is_finite()) {
+            return Err(ScopeError::BadSetting {
+                what: format!("a speed is above 0; {m_per_s} m/s was asked for"),
+            });
+        }
+        let targets = self.targets(to)?;
+        let feed = self.feed_mm_per_min.min(m_per_s * 60e3);
+        self.start(Part::Stage, &targets, feed)
+    }
+
     fn poll(&self) -> Result<Motion, ScopeError> {
         let mut ex = self.session.exchange()?;
         self.poll_in(&mut ex)

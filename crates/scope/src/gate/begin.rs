@@ -1,7 +1,7 @@
 //! Beginnings: a move, a homing, a change of the objective. Checking and beginning happen under one lock.
 
 use super::{MotionGate, Way};
-use crate::{ErrorKind, GateEvent, Motion, ObjectiveId, ScopeError, StagePose};
+use crate::{ErrorKind, GateEvent, Motion, ObjectiveId, ScopeError, Stage, StagePose};
 use std::sync::MutexGuard;
 use std::sync::atomic::Ordering;
 
@@ -13,8 +13,24 @@ impl MotionGate {
     /// [`ScopeError::NotHomed`], [`ScopeError::Interrupted`] when somebody stopped meanwhile; and what the devices report. Unless it is one of the stage's
     /// own faults, nothing moved.
     pub fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
+        self.start(to, |stage| stage.start_move(to))
+    }
+
+    /// The same at a speed, m/s, as [`Stage::start_move_at`].
+    ///
+    /// # Errors
+    /// Those of [`MotionGate::start_move`]; [`ScopeError::Refused`] by a stage that has one speed.
+    pub fn start_move_at(&self, to: &StagePose, m_per_s: f64) -> Result<(), ScopeError> {
+        self.start(to, |stage| stage.start_move_at(to, m_per_s))
+    }
+
+    fn start(
+        &self,
+        to: &StagePose,
+        go: impl FnOnce(&dyn Stage) -> Result<(), ScopeError>,
+    ) -> Result<(), ScopeError> {
         self.tell(|| GateEvent::MoveAsked { to: *to });
-        let begun = self.begin_move(to);
+        let begun = self.begin_move(to, go);
         self.tell(|| match &begun {
             Ok(()) => GateEvent::MoveBegan { to: *to },
             Err(why) => GateEvent::MoveRefused {
@@ -25,7 +41,11 @@ impl MotionGate {
         begun
     }
 
-    fn begin_move(&self, to: &StagePose) -> Result<(), ScopeError> {
+    fn begin_move(
+        &self,
+        to: &StagePose,
+        go: impl FnOnce(&dyn Stage) -> Result<(), ScopeError>,
+    ) -> Result<(), ScopeError> {
         self.info().check_axes(to)?;
         let _begin = self.begin();
         let stops = self.stops.load(Ordering::SeqCst);
@@ -38,7 +58,7 @@ impl MotionGate {
         judge.check_goal(&here, to)?;
         judge.check_way(&here, to)?;
         self.reported.departs();
-        self.begun(self.stage.start_move(to))?;
+        self.begun(go(&*self.stage))?;
         self.begun_way(Way::Between {
             from: here,
             to: *to,

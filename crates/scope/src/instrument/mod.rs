@@ -42,7 +42,7 @@ pub struct Instrument {
     /// A frame that nobody waits for any more.
     given_up: Mutex<Option<std::thread::JoinHandle<()>>>,
     /// The last image that was checked to be new.
-    shown: Mutex<Option<same_image::Shown>>,
+    shown: Mutex<(Option<same_image::Shown>, same_image::AtRest)>,
     /// Whoever is asked before another medium comes between objective and specimen. Without, it is refused.
     ask_immersion: Option<AskImmersion>,
     /// Let go last, after the devices.
@@ -74,7 +74,7 @@ impl Instrument {
             frames: AtomicU64::new(0),
             objective_changes: AtomicU64::new(0),
             given_up: Mutex::new(None),
-            shown: Mutex::new(None),
+            shown: Mutex::default(),
             ask_immersion: None,
             kept: Vec::new(),
         })
@@ -114,14 +114,22 @@ impl Instrument {
     /// # Errors
     /// [`ScopeError::Frozen`] once the same image has come again twice.
     pub fn check_new(&self, frame: &Frame) -> Result<(), ScopeError> {
+        let mut last = self.shown.lock().unwrap_or_else(|e| e.into_inner());
         let Some(at) = self.gate.last_reported() else {
+            last.1.forget();
             return Ok(());
         };
-        let mut last = self.shown.lock().unwrap_or_else(|e| e.into_inner());
         match same_image::Shown::comes_again(&mut last, frame, at) {
             true => Err(ScopeError::Frozen { device: "camera" }),
             false => Ok(()),
         }
+    }
+
+    /// Whether the image that [`Instrument::check_new`] saw last is the very same as the one before, of a stage at rest and a camera whose images at
+    /// rest have always differed: it tells nothing new, and cannot confirm the other one.
+    pub fn shows_again(&self) -> bool {
+        let shown = self.shown.lock().unwrap_or_else(|e| e.into_inner());
+        shown.1.again()
     }
 
     /// Stage and nosepiece, behind their rules.

@@ -22,9 +22,52 @@ impl Instrument {
         self.remember_beginning()?;
         self.gate.start_move(to).map_err(|e| self.seen(e))?;
         self.moves.fetch_add(1, Ordering::SeqCst);
-        match self.wait("stage", MOVE_TIMEOUT, || self.gate.poll())? {
+        let ended = self.wait("stage", MOVE_TIMEOUT, || self.gate.poll())?;
+        self.ended(ended)
+    }
+
+    /// Where a move ended, if it is where it was sent.
+    fn ended(&self, motion: Motion) -> Result<StagePose, ScopeError> {
+        match motion {
             Motion::Settled => self.gate.arrived(),
             _ => Err(self.aborted(self.gate.position().ok())),
+        }
+    }
+
+    /// Moves at a speed, m/s, as [`Stage::start_move_at`](crate::Stage::start_move_at), and calls `look` again and again while the stage moves: to grab
+    /// frames, and to ask where it is. What `look` fails with stops the stage. Returns where it says it is at the end.
+    ///
+    /// # Errors
+    /// As [`Instrument::move_to`]; [`ScopeError::Refused`] by a stage that has one speed, and nothing moved; what `look` fails with.
+    pub fn move_looking<E: From<ScopeError>>(
+        &self,
+        to: &StagePose,
+        m_per_s: f64,
+        mut look: impl FnMut() -> Result<(), E>,
+    ) -> Result<StagePose, E> {
+        self.check_cancel()?;
+        self.remember_beginning()?;
+        let begun = self.gate.start_move_at(to, m_per_s);
+        begun.map_err(|e| self.seen(e))?;
+        self.moves.fetch_add(1, Ordering::SeqCst);
+        let mut failed = None;
+        let ended = self.wait("stage", MOVE_TIMEOUT, || {
+            let motion = self.gate.poll()?;
+            if motion == Motion::Moving
+                && let Err(error) = look()
+            {
+                failed = Some(error);
+                return Ok(Motion::Stopped);
+            }
+            Ok(motion)
+        });
+        match failed {
+            Some(error) => {
+                // Why is the news.
+                let _ = self.gate.stop().and_then(|()| self.stand_still());
+                Err(error)
+            }
+            None => Ok(self.ended(ended?)?),
         }
     }
 

@@ -14,6 +14,42 @@ const MOVED: [f64; 2] = [0.5e-6, 5e-5];
 /// So often may an image come again that a move was to change: frames are sometimes sent twice.
 const AGAIN: u32 = 1;
 
+/// A camera is known to have noise when so many images of a stage at rest differed from the one before, and none was the same.
+const NOISY: u32 = 3;
+
+/// What the images of a stage at rest have shown.
+#[derive(Debug, Default)]
+pub(super) struct AtRest {
+    /// Images that differed from the one before.
+    differed: u32,
+    /// Whether one was the same before noise was known: the camera may have none.
+    quiet: bool,
+    /// Whether the last one was the same, of a camera that has noise.
+    again: bool,
+}
+
+impl AtRest {
+    /// Takes the next image of a stage that has not moved: whether it is the same as the one before.
+    fn take(&mut self, same: bool) {
+        let noisy = !self.quiet && self.differed >= NOISY;
+        self.again = same && noisy;
+        match same {
+            false => self.differed = self.differed.saturating_add(1),
+            true => self.quiet |= !noisy,
+        }
+    }
+
+    /// Whether the last image was the very same as the one before it, of a camera whose images at rest differ.
+    pub(super) fn again(&self) -> bool {
+        self.again
+    }
+
+    /// Nothing of the last image is known.
+    pub(super) fn forget(&mut self) {
+        self.again = false;
+    }
+}
+
 /// The last image.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shown {
@@ -25,10 +61,18 @@ pub(super) struct Shown {
 
 impl Shown {
     /// Takes the next image, with where the stage stands. Returns whether it is one that has come again too often.
-    pub(super) fn comes_again(last: &mut Option<Self>, frame: &Frame, at: StagePose) -> bool {
+    pub(super) fn comes_again(
+        (last, at_rest): &mut (Option<Self>, AtRest),
+        frame: &Frame,
+        at: StagePose,
+    ) -> bool {
+        at_rest.forget();
         let Some(print) = print(&frame.samples, frame.channels.count()) else {
             return false;
         };
+        if let Some(before) = last.filter(|before| before.at == at) {
+            at_rest.take(before.print == print);
+        }
         let again = match *last {
             Some(before) if before.print == print => {
                 let stays = before.again == 0 && !moved(&before.at, &at);
@@ -95,6 +139,23 @@ mod tests {
         // Without noise, and blurred: hardly any step from one sample to the next.
         let smooth = (0..2000u16).map(|i| (i / 10) as u8).collect();
         assert_eq!(print(&Samples::U8(smooth), 1), None);
+    }
+
+    #[test]
+    fn a_camera_whose_images_differ_at_rest_shows_none_again() {
+        let again = |same: &[bool]| {
+            let mut at_rest = AtRest::default();
+            let each = same.iter().map(|same| {
+                at_rest.take(*same);
+                at_rest.again()
+            });
+            each.collect::<Vec<_>>()
+        };
+        let (d, s) = (false, true);
+        assert_eq!(again(&[d, d, d, s, s, d, s]), [d, d, d, s, s, d, s]);
+        // One without noise: the specimen was moved.
+        assert_eq!(again(&[s, s, d, d, d, d, s]), [d; 7]);
+        assert_eq!(again(&[d, d, s, d, d, d, s]), [d; 7]);
     }
 
     #[test]

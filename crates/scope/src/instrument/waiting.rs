@@ -48,7 +48,7 @@ impl Instrument {
         &self,
         device: &'static str,
         limit: Duration,
-        poll: impl Fn() -> Result<Motion, ScopeError>,
+        mut poll: impl FnMut() -> Result<Motion, ScopeError>,
     ) -> Result<Motion, ScopeError> {
         let start = self.clock.now();
         loop {

@@ -21,6 +21,7 @@ mod search;
 mod sharpness;
 mod stale;
 mod state;
+mod sweep;
 
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress, withdrawn};
@@ -35,7 +36,7 @@ pub(crate) use point::Point;
 pub(crate) use sample::Sample;
 pub(crate) use state::depth_of_field_um;
 
-pub use options::{FocusOptions, FocusResult};
+pub use options::{FocusOptions, FocusResult, FocusSweep, SweepEnd};
 pub use sharpness::sharpness;
 pub use state::Focus;
 
@@ -74,9 +75,11 @@ impl Focus {
         sink: &mut dyn Sink,
         z_um: f64,
     ) -> Result<(), ServoError> {
+        let begun = scope.clock().now();
         let z_um = Self::go(scope, z_um)?;
         self.last_um = Some(z_um);
         let frame = grab(scope, sink, FrameRole::Focus, &self.objective.id)?;
+        self.look_s = Some(scope.clock().now().since(begun).as_secs_f64());
         let measure = self.options.measure.measure();
         let sample = Sample::of(&frame, z_um, measure, self.levels());
         let at = self.samples.partition_point(|s| s.z_um <= z_um);
@@ -106,6 +109,10 @@ impl Focus {
         }
         if self.start_um.is_none() {
             self.begin(scope)?;
+            return Ok(Progress::Continue);
+        }
+        if self.sweep_due {
+            self.sweep(scope, sink)?;
             return Ok(Progress::Continue);
         }
         if !self.plan_um.is_empty() {

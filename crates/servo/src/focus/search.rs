@@ -11,7 +11,7 @@ use scopeservo_scope::{Axis, Instrument, ScopeError, StagePose};
 pub(super) const TAKES_UP_UM: f64 = 10.0;
 /// Steps towards a height that rises, and around a peak that is looked at closer, in widths of a level.
 const CLIMB: f64 = 1.0;
-const CLOSER: f64 = 0.8;
+pub(super) const CLOSER: f64 = 0.8;
 /// Steps of the last pass, in widths of the finest level, and how many samples it has at first.
 const FINE: f64 = 0.6;
 const FINE_SAMPLES: i32 = 5;
@@ -20,9 +20,9 @@ const CONTINUED: u8 = 8;
 /// And so often where it was expected.
 const EXPECTED: u8 = 2;
 /// A peak that a level shows is looked at again on one that is finer by so many.
-const FINER: usize = 2;
+pub(super) const FINER: usize = 2;
 /// So often a level is looked at.
-const TIMES: u8 = 3;
+pub(super) const TIMES: u8 = 3;
 /// Where nothing is seen at all, the heights come no closer together than so many in the range.
 const MOST_HEIGHTS: f64 = 40.0;
 /// A height is not looked at again where a sample lies nearer than this share of the step.
@@ -79,7 +79,7 @@ impl Focus {
         // Where nothing is expected, or it lies beyond the bounds.
         if self.plan_um.is_empty() {
             self.step = Step::Outwards;
-            self.plan_um = vec![self.outwards_um.remove(0)];
+            self.look_farther();
         }
         Ok(())
     }
@@ -143,6 +143,7 @@ impl Focus {
     pub(super) fn decide(&mut self, scope: &Instrument) -> Result<Decision, ServoError> {
         match self.step {
             Step::Outwards => self.outwards(scope),
+            Step::Swept { level, times } => self.after_sweep(scope, level, times),
             Step::Closer { level, times } => self.closer(scope, level, times),
             Step::Fine {
                 continued,
@@ -153,7 +154,7 @@ impl Focus {
     }
 
     /// Looks for a level that shows a peak, or which way is up.
-    fn outwards(&mut self, scope: &Instrument) -> Result<Decision, ServoError> {
+    pub(super) fn outwards(&mut self, scope: &Instrument) -> Result<Decision, ServoError> {
         let contrast = self.contrast();
         let curves: Vec<Curve> = (0..self.levels()).map(|level| self.curve(level)).collect();
         let refuted = |z: f64| self.refuted_um.iter().any(|[a, b]| (*a..=*b).contains(&z));
@@ -193,7 +194,7 @@ impl Focus {
             self.spaced_by = finer;
             self.outwards_um = self.rings(scope, start)?;
         }
-        self.plan_um = vec![self.outwards_um.remove(0)];
+        self.look_farther();
         Ok(Decision::Look)
     }
 
@@ -240,7 +241,7 @@ impl Focus {
     }
 
     /// After a closer look.
-    fn closer(
+    pub(super) fn closer(
         &mut self,
         scope: &Instrument,
         level: usize,
@@ -275,7 +276,12 @@ impl Focus {
     }
 
     /// The last pass, around a height.
-    fn fine(&mut self, scope: &Instrument, top: f64, expected: bool) -> Result<(), ServoError> {
+    pub(super) fn fine(
+        &mut self,
+        scope: &Instrument,
+        top: f64,
+        expected: bool,
+    ) -> Result<(), ServoError> {
         let step = FINE * self.width_um(0);
         // Where it is expected, the looks of the arrival come on top.
         let samples = FINE_SAMPLES - i32::from(expected);

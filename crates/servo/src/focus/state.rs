@@ -21,6 +21,8 @@ const NEARBY: f64 = 10.0;
 pub(super) enum Step {
     /// From the present height outwards.
     Outwards,
+    /// Around what a sweep has shown.
+    Swept { level: usize, times: u8 },
     /// Around a peak that a level shows.
     Closer { level: usize, times: u8 },
     /// The last pass; `expected` where a focus was found before.
@@ -63,6 +65,14 @@ pub struct Focus {
     pub(super) far_first: bool,
     /// From where to where a closer look has shown that there is nothing.
     pub(super) refuted_um: Vec<[f64; 2]>,
+    /// Whether a sweep comes next, and whether one was made.
+    #[serde(default)]
+    pub(super) sweep_due: bool,
+    #[serde(default)]
+    pub(super) swept: bool,
+    /// How long the last look took with its move, s.
+    #[serde(default)]
+    pub(super) look_s: Option<f64>,
 }
 
 impl Focus {
@@ -83,6 +93,9 @@ impl Focus {
             fine_um: Vec::new(),
             far_first: false,
             refuted_um: Vec::new(),
+            sweep_due: false,
+            swept: false,
+            look_s: None,
         }
     }
 

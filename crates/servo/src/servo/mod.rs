@@ -28,7 +28,7 @@ pub(crate) mod task;
 mod turning;
 pub(crate) mod watch;
 
-use crate::vision::grab;
+use crate::vision::grab_another;
 use crate::{FrameRole, Progress, ServoEnd, ServoError, ServoTask, Sink, event::tell};
 use belief::Belief;
 use convergence::Standing;
@@ -55,7 +55,7 @@ impl Servo {
         self.convergence.rest(&test, scope)?;
         let present = scope.gate().position()?;
         // Camera.
-        let frame = grab(scope, sink, FrameRole::Servo, task.objective())?;
+        let frame = grab_another(scope, sink, FrameRole::Servo, task.objective())?;
         let view = View::of(&frame, scope)?;
         // Features, match and fit, homography, pose error and its covariance: Eqs. (7), (19), (20).
         let prior = self.expected.prior(task);

@@ -39,6 +39,12 @@ struct Args {
     /// Spares the starts this cause of error: what is missing then is its share.
     #[arg(long, value_delimiter = ',')]
     without: Vec<Without>,
+    /// The coarse scan in motion, where that saves time.
+    #[arg(long)]
+    sweep: bool,
+    /// Time between the end of a move and settled, s, in place of the stage's 0.1.
+    #[arg(long)]
+    settle_s: Option<f64>,
     /// Threads; all processors unless told.
     #[arg(long, default_value_t = 0)]
     threads: usize,
@@ -67,8 +73,11 @@ fn main() -> Outcome<()> {
     ] {
         name.extend(args.without.contains(&without).then(|| word.into()));
     }
+    name.extend(args.sweep.then(|| "sweep".into()));
+    name.extend(args.settle_s.map(|s| format!("settle_{s}")));
     let kind = Kind {
         blank: args.blank,
+        settle_s: args.settle_s,
         without: args.without,
     };
     fs::create_dir_all(&args.out)?;
@@ -80,7 +89,7 @@ fn main() -> Outcome<()> {
     let wanted = |k: &u64| objective.is_none_or(|o| k % OBJECTIVES.len() as u64 == o as u64);
     let records = match args.only {
         Some(index) => {
-            let record = Start::draw(index, &kind)?.run(args.measure, true)?;
+            let record = Start::draw(index, &kind)?.run(args.measure, args.sweep, true)?;
             println!("{}", serde_json::to_string_pretty(&record)?);
             vec![record]
         }
@@ -89,7 +98,7 @@ fn main() -> Outcome<()> {
             &(0..args.count).filter(wanted).collect::<Vec<_>>(),
             args.threads,
             |r: &Record| r.index,
-            |k| Start::draw(k, &kind)?.run(args.measure, false),
+            |k| Start::draw(k, &kind)?.run(args.measure, args.sweep, false),
         )?,
     };
     if args.only.is_none() {

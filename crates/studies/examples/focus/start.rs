@@ -5,7 +5,8 @@ use clap::ValueEnum;
 use scopeservo_geometry::SplitMix64;
 use scopeservo_scope::{Axis, CancelToken, Clock, Frame, Instrument, StagePose, VirtualClock};
 use scopeservo_servo::{
-    Event, Focus, FocusOptions, FrameRole, Measure, ServoError, Sink, Stamped, run,
+    Event, Focus, FocusOptions, FocusSweep, FrameRole, Measure, ServoError, Sink, Stamped,
+    SweepEnd, run,
 };
 use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
 use scopeservo_twin::{Blank, Config, DustConfig, SpecimenEvent, Twin};
@@ -36,6 +37,7 @@ struct Trace {
     prints: bool,
     /// Time and height of each, s and um.
     seen: Vec<[f64; 2]>,
+    swept: Option<FocusSweep>,
 }
 
 impl Trace {
@@ -53,11 +55,20 @@ impl Trace {
 
 impl Sink for Trace {
     fn event(&mut self, stamped: Stamped) {
-        if let Event::FocusSample { z_um, sharpness } = stamped.event {
-            self.seen.push([stamped.time_s, z_um]);
-            if self.prints {
-                println!("z {z_um:.2} um: {sharpness:.6}");
+        match stamped.event {
+            Event::FocusSample { z_um, sharpness } => {
+                self.seen.push([stamped.time_s, z_um]);
+                if self.prints {
+                    println!("{:.3} s, z {z_um:.2} um: {sharpness:.6}", stamped.time_s);
+                }
             }
+            Event::FocusSwept { sweep } => {
+                if self.prints {
+                    println!("{:.3} s, {sweep:?}", stamped.time_s);
+                }
+                self.swept = Some(sweep);
+            }
+            _ => {}
         }
     }
     fn frame(&mut self, _: &Frame, _: FrameRole) {}
@@ -77,6 +88,7 @@ pub(crate) enum Without {
 pub(crate) struct Kind {
     /// On glass without a specimen.
     pub(crate) blank: bool,
+    pub(crate) settle_s: Option<f64>,
     pub(crate) without: Vec<Without>,
 }
 
@@ -105,6 +117,9 @@ pub(crate) struct Record {
     /// Of these the coarse scan's.
     pub(crate) coarse_frames: usize,
     pub(crate) coarse_seconds: f64,
+    /// What came of a coarse scan in motion.
+    #[serde(default)]
+    pub(crate) swept: Option<SweepEnd>,
     /// A second focus, from some depths of field off: its defocus at the end and its frames.
     pub(crate) again: Option<(f64, u64)>,
 }
@@ -177,6 +192,7 @@ impl Start {
         if kind.without.contains(&Without::Scatter) {
             config.stage = config.stage.exact();
         }
+        config.stage.settle_s = kind.settle_s.unwrap_or(config.stage.settle_s);
         for axis in &mut config.stage.axes {
             if axis.axis == Axis::Z {
                 axis.backlash = play_um;
@@ -278,7 +294,7 @@ impl Start {
     }
 
     /// `trace`: prints each sample.
-    pub(crate) fn run(self, measure: Measure, trace: bool) -> Outcome<Record> {
+    pub(crate) fn run(self, measure: Measure, sweep: bool, trace: bool) -> Outcome<Record> {
         let objective = self.scope.gate().objectives()[self.objective].clone();
         let depth_um = WAVELENGTH_UM / objective.numerical_aperture.powi(2);
         let options = FocusOptions {
@@ -286,6 +302,7 @@ impl Start {
             // A sweep must reach beyond a focus at the end of its range.
             half_range_um: 1.15 * WITHIN_UM,
             nearest_um: 1.15 * WITHIN_UM,
+            sweep,
             ..FocusOptions::default()
         };
         let focus = || {
@@ -302,11 +319,12 @@ impl Start {
                 after.frames - before.frames,
                 after.moves - before.moves,
                 sink.coarse(8.0 * depth_um),
+                sink.swept.map(|s| s.end),
             )
         };
         let start_um = self.twin.truth_now().defocus_um;
         let begun = self.scope.clock().now();
-        let (answer, frames, moves, (coarse_frames, coarse_seconds)) = focus();
+        let (answer, frames, moves, (coarse_frames, coarse_seconds), swept) = focus();
         let seconds = self.scope.clock().now().since(begun).as_secs_f64();
         let end_um = self.twin.truth_now().defocus_um;
         let claimed_sigma_um = answer.as_ref().ok().and_then(|r| r.sigma_um);
@@ -347,6 +365,7 @@ impl Start {
             seconds,
             coarse_frames,
             coarse_seconds,
+            swept,
             again,
         })
     }

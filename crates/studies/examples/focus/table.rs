@@ -1,6 +1,7 @@
 //! What the records say.
 
 use crate::start::Record;
+use scopeservo_servo::SweepEnd;
 
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
@@ -22,6 +23,7 @@ fn row(name: &str, records: &[&Record]) -> Vec<String> {
     );
     let frames = median(records.iter().map(|r| r.frames as f64).collect());
     let moves = median(records.iter().map(|r| r.moves as f64).collect());
+    let seconds = median(records.iter().map(|r| r.seconds).collect());
     let again: Vec<(&Record, f64, f64)> = records
         .iter()
         .filter_map(|r| r.again.map(|(off, n)| (*r, off, n as f64)))
@@ -39,12 +41,13 @@ fn row(name: &str, records: &[&Record]) -> Vec<String> {
         format!("{off:.3}"),
         frames.to_string(),
         moves.to_string(),
+        format!("{seconds:.2}"),
         format!("{again_right} of {}", again.len()),
         again_frames.to_string(),
     ]
 }
 
-pub(crate) const HEAD: [&str; 9] = [
+pub(crate) const HEAD: [&str; 10] = [
     "starts",
     "number",
     "focused",
@@ -52,6 +55,7 @@ pub(crate) const HEAD: [&str; 9] = [
     "median error, depths",
     "median frames",
     "median moves",
+    "median s",
     "again, right",
     "again, median frames",
 ];
@@ -92,6 +96,18 @@ pub(crate) fn print(records: &[Record], blank: bool) -> usize {
     let of = |f: &dyn Fn(&Record) -> bool| records.iter().filter(|r| f(r)).collect::<Vec<_>>();
     let harmed = of(&Record::is_harmed).len();
     println!("\n{harmed} failures left the stage nearer to the specimen");
+    for end in [
+        SweepEnd::Found,
+        SweepEnd::NoPeak,
+        SweepEnd::Unknown,
+        SweepEnd::NoFaster,
+        SweepEnd::Refused,
+    ] {
+        let swept = of(&|r| r.swept == Some(end)).len();
+        if swept > 0 {
+            println!("coarse scan in motion, {end:?}: {swept}");
+        }
+    }
     let wrong = of(&|r| r.answer == "focused" && !r.is_right());
     if blank {
         println!(

@@ -50,6 +50,9 @@ struct Args {
 enum Study {
     /// Something of the instrument is broken, one thing in each run: was it told, and where did it end?
     Faults {
+        /// When it breaks.
+        #[arg(long, value_enum, default_value = "fixed")]
+        when: faults::When,
         /// Only those whose names have this in them.
         #[arg(long, default_value = "")]
         named: String,
@@ -59,6 +62,9 @@ enum Study {
         /// Two ways at a time.
         #[arg(long)]
         pairs: bool,
+        /// Of the pairs each with one objective by turns, in place of all three: every two of ways and objectives meet.
+        #[arg(long, requires = "pairs")]
+        covering: bool,
         /// Only those whose names have this in them.
         #[arg(long, default_value = "")]
         named: String,
@@ -83,10 +89,12 @@ fn main() -> Outcome<()> {
             out: &args.out,
         };
         let wrong = match study {
-            Study::Faults { named } => faults::study(&many, named, &known)?,
-            Study::Disturbance { pairs, named } => {
-                disturbance::study(&many, (*pairs, named), &known)?
-            }
+            Study::Faults { when, named } => faults::study(&many, (*when, named), &known)?,
+            Study::Disturbance {
+                pairs,
+                covering,
+                named,
+            } => disturbance::study(&many, (*pairs, *covering, named), &known)?,
             Study::Montecarlo => montecarlo::study(&many, &known)?,
         };
         if wrong > 0 {

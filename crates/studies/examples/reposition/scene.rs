@@ -132,12 +132,37 @@ impl Bench {
         specimen: Arc<dyn Specimen>,
         camera: impl FnOnce(Box<dyn Camera>) -> Box<dyn Camera>,
     ) -> Outcome<Self> {
+        Self::of(
+            (kind, seed),
+            noise,
+            specimen,
+            camera,
+            Arc::new(VirtualClock::new()),
+        )
+    }
+
+    /// The same by a clock of one's own.
+    pub(crate) fn timed_by(
+        (kind, seed): (Kind, u64),
+        noise: f64,
+        specimen: Arc<dyn Specimen>,
+        clock: Arc<dyn Clock>,
+    ) -> Outcome<Self> {
+        Self::of((kind, seed), noise, specimen, |camera| camera, clock)
+    }
+
+    fn of(
+        (kind, seed): (Kind, u64),
+        noise: f64,
+        specimen: Arc<dyn Specimen>,
+        camera: impl FnOnce(Box<dyn Camera>) -> Box<dyn Camera>,
+        clock: Arc<dyn Clock>,
+    ) -> Outcome<Self> {
         let mut config = Config::realistic();
         if kind == Kind::Turntable {
             config = config.with_stage(StageConfig::xyz_theta());
         }
         config.camera.full_well_e = 0.5 / (noise * noise);
-        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
         let twin = Twin::new(config, specimen, seed, clock)?;
         let devices = Devices {
             camera: Some(camera(twin.camera())),

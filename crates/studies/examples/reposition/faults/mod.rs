@@ -2,13 +2,26 @@
 
 mod kinds;
 mod page;
+mod random;
 mod run;
 
 use crate::scene::Known;
+use clap::ValueEnum;
 use run::Record;
 use scopeservo_studies::rounds::{Outcome, rounds};
 use std::fs;
 use std::path::Path;
+
+/// When something breaks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum When {
+    /// At the start, or when the target was seen first, as each kind says.
+    Fixed,
+    /// At a moment drawn over the whole run: during focus, change of the objective, step or evidence.
+    Random,
+    /// The same in the last eighth of it, where a run makes sure.
+    Late,
+}
 
 /// How many runs, and where they are kept.
 pub(crate) struct Many<'a> {
@@ -22,7 +35,16 @@ pub(crate) struct Many<'a> {
 const EACH: u64 = 100_000;
 
 /// Makes the runs, their table and their page; returns how many ended as none may.
-pub(crate) fn study(many: &Many<'_>, named: &str, known: &[Known]) -> Outcome<usize> {
+pub(crate) fn study(
+    many: &Many<'_>,
+    (when, named): (When, &str),
+    known: &[Known],
+) -> Outcome<usize> {
+    match when {
+        When::Fixed => {}
+        When::Random => return random::study(many, ("random", 1.0), named, known),
+        When::Late => return random::study(many, ("late", 0.125), named, known),
+    }
     let kinds = kinds::all();
     let of = |index: u64| &kinds[(index / EACH) as usize];
     let one = |index: u64, trace: bool| run::run(of(index), index, index % EACH, known, trace);
