@@ -11,7 +11,11 @@ const STAGE: &str = "stage = \"xy\"\nobjectives = [\"20x\", \"40x\"]\n";
 
 /// The files beside the database, by their folders and names.
 fn files(here: &Path) -> BTreeSet<PathBuf> {
-    let list = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path());
+    let list = |folder: &Path| {
+        std::fs::read_dir(folder)
+            .unwrap()
+            .map(|e| e.unwrap().path())
+    };
     let folders = list(&here.join("scopeservo-data/objects")).filter(|p| p.is_dir());
     folders.flat_map(|folder| list(&folder)).collect()
 }

@@ -71,7 +71,15 @@ fn every_run_leaves_its_record_and_calibrations_made_on_the_way_are_used_again()
     let last = runs[0]["id"].as_str().unwrap();
     assert!(last.ends_with("_reposition"));
     let page = here.join("page.html");
-    let show = ["run", "show", last, "--events", "--report", "page.html", "--json"];
+    let show = [
+        "run",
+        "show",
+        last,
+        "--events",
+        "--report",
+        "page.html",
+        "--json",
+    ];
     let shown = ok(here, &show);
     assert_eq!(shown["answer"]["verdict"], second["verdict"]);
     assert_eq!(
@@ -103,16 +111,32 @@ fn every_run_leaves_its_record_and_calibrations_made_on_the_way_are_used_again()
     let visits = ok(here, &["target", "show", "spot", "--json"])["visits"].clone();
     assert_eq!(visits[0]["id"], *last);
     // All of it comes back from a backup, and goes where other programs can read it.
-    assert_eq!(ok(here, &["library", "check", "--json"])["faults"], serde_json::json!([]));
+    assert_eq!(
+        ok(here, &["library", "check", "--json"])["faults"],
+        serde_json::json!([])
+    );
     ok(here, &["library", "backup", "backup.tar", "--json"]);
     ok(here, &["library", "export", "plain", "--json"]);
-    assert!(here.join("plain/runs").join(last).join("report.html").is_file());
+    assert!(
+        here.join("plain/runs")
+            .join(last)
+            .join("report.html")
+            .is_file()
+    );
     let refused = scopeservo(here, &["library", "restore", "backup.tar"]);
-    assert_eq!(code(&refused), 1, "no library is overwritten: {}", stderr(&refused));
+    assert_eq!(
+        code(&refused),
+        1,
+        "no library is overwritten: {}",
+        stderr(&refused)
+    );
     fs::rename(here.join("scopeservo-data"), here.join("lost")).unwrap();
     ok(here, &["library", "restore", "backup.tar", "--json"]);
     assert_eq!(ok(here, &["run", "list", "--json"]), list);
-    assert_eq!(ok(here, &["target", "show", "spot", "--json"])["visits"], visits);
+    assert_eq!(
+        ok(here, &["target", "show", "spot", "--json"])["visits"],
+        visits
+    );
     // And where the database is lost, the views are not.
     for ending in ["", "-wal", "-shm"] {
         let _ = fs::remove_file(here.join(format!("scopeservo-data/library.sqlite3{ending}")));
@@ -128,35 +152,74 @@ fn targets_are_told_apart_by_slide_and_note_and_are_gone_for_good_only_when_that
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path();
     describe(here, BY_HAND);
-    let save = ["target", "save", "spot", "--slide", "17-B", "--note", "metaphase", "--json"];
+    let save = [
+        "target",
+        "save",
+        "spot",
+        "--slide",
+        "17-B",
+        "--note",
+        "metaphase",
+        "--json",
+    ];
     let saved = ok(here, &save);
-    assert_eq!((&saved["slide"], &saved["note"]), (&"17-B".into(), &"metaphase".into()));
+    assert_eq!(
+        (&saved["slide"], &saved["note"]),
+        (&"17-B".into(), &"metaphase".into())
+    );
     ok(here, &["target", "save", "other", "--json"]);
     let names = |args: &[&str]| -> Vec<String> {
         let list = ok(here, &[&["target", "list", "--json"], args].concat());
         let all = list["targets"].as_array().unwrap().iter();
-        all.map(|t| t["name"].as_str().unwrap().to_owned()).collect()
+        all.map(|t| t["name"].as_str().unwrap().to_owned())
+            .collect()
     };
     assert_eq!(names(&[]), ["other", "spot"]);
     assert_eq!(names(&["--slide", "17-B"]), ["spot"]);
     assert_eq!(names(&["--text", "phase 17"]), ["spot"]);
     assert!(names(&["--text", "anaphase"]).is_empty());
-    ok(here, &["target", "note", "other", "anaphase", "--slide", "18-A", "--json"]);
+    ok(
+        here,
+        &[
+            "target", "note", "other", "anaphase", "--slide", "18-A", "--json",
+        ],
+    );
     assert_eq!(names(&["--text", "anaphase 18-a"]), ["other"]);
     ok(here, &["target", "note", "other", "--no-slide", "--json"]);
     assert_eq!(names(&["--text", "anaphase"]), ["other"]);
     assert!(names(&["--slide", "18-A"]).is_empty());
-    for bad in [&["target", "note", "nobody", "x"][..], &["target", "note", "other", "--slide", ""], &["target", "purge", "spot"], &["target", "restore", "spot"], &["run", "show", "1"]] {
+    for bad in [
+        &["target", "note", "nobody", "x"][..],
+        &["target", "note", "other", "--slide", ""],
+        &["target", "purge", "spot"],
+        &["target", "restore", "spot"],
+        &["run", "show", "1"],
+    ] {
         assert_eq!(code(&scopeservo(here, bad)), 2, "{bad:?}");
     }
     ok(here, &["target", "remove", "spot", "--json"]);
-    assert_eq!((names(&[]), names(&["--bin"])), (vec!["other".into()], vec!["spot".into()]));
-    ok(here, &["target", "restore", "spot", "--as", "spot-2", "--json"]);
+    assert_eq!(
+        (names(&[]), names(&["--bin"])),
+        (vec!["other".into()], vec!["spot".into()])
+    );
+    ok(
+        here,
+        &["target", "restore", "spot", "--as", "spot-2", "--json"],
+    );
     assert_eq!(names(&["--slide", "17-B"]), ["spot-2"]);
     ok(here, &["target", "remove", "spot-2", "--json"]);
     let purged = ok(here, &["target", "purge", "--all", "--json"]);
     assert_eq!(purged["purged"][0]["runs"].as_array().unwrap().len(), 1);
     assert!(names(&["--bin"]).is_empty());
-    assert_eq!(ok(here, &["run", "list", "--json"])["runs"].as_array().unwrap().len(), 1);
-    assert_eq!(ok(here, &["library", "check", "--json"])["litter"], serde_json::json!([]));
+    assert_eq!(
+        ok(here, &["run", "list", "--json"])["runs"]
+            .as_array()
+            .unwrap()
+            .len(),
+        1
+    );
+    assert_eq!(
+        ok(here, &["library", "check", "--json"])["litter"],
+        serde_json::json!([])
+    );
 }

@@ -197,7 +197,10 @@ fn what_is_damaged_is_told_by_name_and_does_not_keep_the_rest_away() {
     let half = library.target("half").unwrap_err();
     assert!(matches!(half, LibraryError::Damaged { .. }), "{half}");
     let row = library.target_row("half").unwrap();
-    assert!(row.damaged.is_some_and(|what| what.contains("Move it away")));
+    assert!(
+        row.damaged
+            .is_some_and(|what| what.contains("Move it away"))
+    );
     library.remove_target("half").unwrap();
     library.purge_targets(Some(&["half".into()])).unwrap();
     is_whole(&library, [&spot, &first]);

@@ -41,13 +41,14 @@ const ROUTES = [
   ["POST", /^jobs\/(\d+)\/resume$/, (w, id) => ((w.jobs.find((job) => job.id === Number(id)).state = { state: "running" }), {})],
   ["POST", /^questions\/\d+$/, (w) => ((w.question = null), {})],
   ["POST", /^abandon$/, (w) => ((w.left = null), {})],
-  ["GET", /^targets$/, (w) => w.targets.map(({ where, ...rest }) => rest)],
+  ["GET", /^targets$/, (w, _, __, asked) => (asked?.get("bin") === "true" ? (w.bin ?? []) : w.targets).map(({ where, ...rest }) => rest)],
   ["GET", /^targets\/([^/]+)\/(?:image\.png|thumb\.jpg)$/, (w, name) => {
     const target = w.targets.find((t) => t.name === name);
     return target && { kind: "image/png", bytes: view(target.where) };
   }],
   ["PATCH", /^targets\/([^/]+)$/, (w, name, body) => (Object.assign(w.targets.find((t) => t.name === name), body), w.revision++, {})],
-  ["DELETE", /^targets\/([^/]+)$/, (w, name) => ((w.targets = w.targets.filter((t) => t.name !== name)), w.revision++, {})],
+  ["DELETE", /^targets\/([^/]+)$/, (w, name) => ((w.bin = [...w.targets.filter((t) => t.name === name).map((t) => ({ ...t, binned: new Date().toISOString() })), ...(w.bin ?? [])]), (w.targets = w.targets.filter((t) => t.name !== name)), w.revision++, {})],
+  ["DELETE", /^bin\/([^/]+)$/, (w, name) => ((w.bin = (w.bin ?? []).filter((t) => t.name !== name)), w.revision++, {})],
   ["GET", /^runs$/, (w) => w.runs],
   ["GET", /^runs\/[^/]+\/report\.html$/, () => ({ kind: KINDS.html, bytes: Buffer.from("<!doctype html><title>report</title><p>made up") })],
   ["GET", /^users$/, () => [{ name: "anna", role: "admin" }, { name: "bob", role: "operator" }]],
@@ -79,7 +80,8 @@ async function answer(world, method, path, request) {
     if (!found) continue;
     const body = method === "GET" ? null : await read(request);
     if (method !== "GET") world.asked.push([method, path, body]);
-    const told = act(world, found[1] && decodeURIComponent(found[1]), body);
+    const asked = new URL(request.url, "http://x").searchParams;
+    const told = act(world, found[1] && decodeURIComponent(found[1]), body, asked);
     if (told) return told;
   }
   throw new Refusal(404, "not_found", `there is no ${path}`);

@@ -5,6 +5,7 @@ import { refresh } from "./heard.ts";
 import { releaseAll } from "./live/hold.ts";
 import { say } from "./socket.ts";
 import { get, type Model, set, use } from "./store.ts";
+import type { Target } from "./types.ts";
 
 /** Everything stands still: by every way there is, and never asking. What is held is held no more. */
 export function stop(): void {
@@ -116,11 +117,26 @@ export async function save(name: string, focus: boolean): Promise<boolean> {
   return id !== null;
 }
 
-export async function rename(name: string, to: string): Promise<void> {
-  if (await attempt("PATCH", `targets/${encodeURIComponent(name)}`, { name: to })) {
-    if (get().chosen === name) set({ chosen: to });
+/** Says something else of a saved view: its name, its slide, what was noted. */
+export async function edit(name: string, to: { name?: string; slide?: string | null; note?: string }): Promise<void> {
+  if (await attempt("PATCH", `targets/${encodeURIComponent(name)}`, to)) {
+    if (to.name !== undefined && get().chosen === name) set({ chosen: to.name });
     await refresh();
   }
+}
+
+/** What lies in the bin. */
+export async function bin(): Promise<Target[]> {
+  return (await attempt<Target[]>("GET", "targets?bin=true")) ?? [];
+}
+
+export async function restore(name: string): Promise<void> {
+  if (await attempt("PATCH", `targets/${encodeURIComponent(name)}`, { restore: true })) await refresh();
+}
+
+/** For good. */
+export async function purge(name: string): Promise<void> {
+  if (await attempt("DELETE", `bin/${encodeURIComponent(name)}`)) await refresh();
 }
 
 /** Takes all of them out; those that could not be stay, with what was refused. */

@@ -89,6 +89,8 @@ export type Target = {
   quality?: { word: "good" | "fair" | "poor" | "unknown"; text: string; chance: number | null };
   at?: Place;
   damaged?: string;
+  /** When it went into the bin. */
+  binned?: string;
 };
 
 export type Run = {
@@ -103,6 +105,7 @@ export type Run = {
   seconds: number | null;
   ended: boolean;
   report: boolean;
+  pinned: boolean;
 };
 
 /** Rows of a map of pixels: a b t. */

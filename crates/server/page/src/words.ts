@@ -16,7 +16,8 @@ export const words = {
   noTargets: "Nothing is saved yet. Bring what you want to find again into the view, and press S.",
   themes: { auto: "as the system has it", dark: "dark", light: "light" } as Record<string, string>,
   change: "Somebody else sits down here: what is shown stays, and the seat of whoever moved the instrument is free.",
-  bin: "They lie in the bin of the library then, a folder beside the others.",
+  bin: "They lie in the bin then, from which they can be taken back.",
+  purge: "Nothing brings it back: its image, what was done with it and its name in the log go as well.",
   noRuns: "Nothing was done yet.",
   pages: { live: "Live", targets: "Targets", runs: "Runs", people: "People" },
   verdicts: {

@@ -2,13 +2,14 @@
 
 import { useMemo, useState } from "preact/hooks";
 import { address } from "../api.ts";
-import { goBack, remove, removeAll, rename, useMayStart } from "../act.ts";
+import { edit, goBack, remove, removeAll, useMayStart } from "../act.ts";
 import { length, moment } from "../format.ts";
 import { scaleBar } from "../geometry.ts";
 import { set, use } from "../store.ts";
 import type { Target } from "../types.ts";
 import { Dialog } from "../parts/dialog.tsx";
 import { Row } from "../run/runs.tsx";
+import { Bin } from "./bin.tsx";
 import { words } from "../words.ts";
 
 export function Targets() {
@@ -18,6 +19,7 @@ export function Targets() {
   const [slide, setSlide] = useState("");
   const slides = [...new Set(targets.map((t) => t.slide).filter((s) => s))].sort() as string[];
   const [open, setOpen] = useState<string | null>(null);
+  const [bin, setBin] = useState(false);
   const shown = useMemo(() => {
     const wanted = text.trim().toLowerCase();
     const has = (t: Target) => [t.name, t.slide ?? "", t.note ?? ""].some((s) => s.toLowerCase().includes(wanted));
@@ -65,6 +67,11 @@ export function Targets() {
             ))}
           </select>
         </label>
+        {may && (
+          <button type="button" onClick={() => setBin(true)}>
+            Bin
+          </button>
+        )}
       </div>
       {targets.length === 0 && <p class="soft">{words.noTargets}</p>}
       {targets.length > 0 && shown.length === 0 && <p class="soft">None of {targets.length} is like that.</p>}
@@ -77,6 +84,7 @@ export function Targets() {
         ))}
       </ul>
       {one && <Open target={one} onClose={() => setOpen(null)} />}
+      {bin && <Bin onClose={() => setBin(false)} />}
     </main>
   );
 }
@@ -192,7 +200,11 @@ function Open({ target, onClose }: { target: Target; onClose: () => void }) {
   const runs = use((m) => m.runs).filter((run) => run.target === target.name && run.job === "reposition");
   const may = use((m) => m.me?.role !== "viewer");
   const [name, setName] = useState(target.name);
+  const [slide, setSlide] = useState(target.slide ?? "");
+  const [note, setNote] = useState(target.note ?? "");
   const [sure, setSure] = useState(false);
+  const is = { name: name.trim(), slide: slide.trim(), note: note.trim() };
+  const same = is.name === target.name && is.slide === (target.slide ?? "") && is.note === (target.note ?? "");
   return (
     <Dialog title={target.name} onClose={onClose}>
       <img class="large" alt={`the saved view ${target.name}`} src={picture(target.name, "image.png")} />
@@ -203,18 +215,27 @@ function Open({ target, onClose }: { target: Target; onClose: () => void }) {
       </p>
       {may && (
         <form
-          class="row"
+          class="row edit"
           onSubmit={(event) => {
             event.preventDefault();
-            void rename(target.name, name.trim()).then(onClose);
+            const to = { slide: is.slide || null, note: is.note };
+            void edit(target.name, is.name === target.name ? to : { ...to, name: is.name }).then(onClose);
           }}
         >
           <label>
-            <span class="hidden">name</span>
+            <span class="soft">name</span>
             <input value={name} onInput={(e) => setName(e.currentTarget.value)} />
           </label>
-          <button type="submit" disabled={name.trim() === target.name || name.trim() === ""}>
-            Rename
+          <label>
+            <span class="soft">slide</span>
+            <input value={slide} onInput={(e) => setSlide(e.currentTarget.value)} />
+          </label>
+          <label class="grow">
+            <span class="soft">note</span>
+            <input value={note} onInput={(e) => setNote(e.currentTarget.value)} />
+          </label>
+          <button type="submit" disabled={same || is.name === ""}>
+            Keep
           </button>
           <span class="grow" />
           {sure ? (
