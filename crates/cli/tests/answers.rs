@@ -105,9 +105,9 @@ fn a_reader_who_leaves_does_not_cut_the_work_short() {
         Some(0)
     );
     for objective in ["10x", "20x"] {
-        let kept = dir.path().join("scopeservo-data/calibrations");
-        let kept = fs::read_dir(kept.join(objective)).unwrap();
-        assert_eq!(kept.count(), 1, "{objective}");
+        let kept = ["calibrations", "--objective", objective, "--json"];
+        let kept = object(&scopeservo(dir.path(), &kept));
+        assert_eq!(kept["history"].as_array().unwrap().len(), 1, "{kept}");
     }
 }
 

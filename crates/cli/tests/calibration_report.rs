@@ -23,13 +23,18 @@ fn page(at: &Path) -> String {
     std::fs::read_to_string(at).unwrap()
 }
 
-/// The pages in the folders of all runs.
+/// The pages of all runs, the oldest first.
 fn pages_of_runs(here: &Path) -> Vec<String> {
-    let runs = std::fs::read_dir(here.join("scopeservo-data/runs")).unwrap();
-    let mut all: Vec<_> = runs.map(|e| e.unwrap().path()).collect();
-    all.sort();
-    let pages = all.into_iter().map(|run| run.join("report.html"));
-    pages.filter(|p| p.exists()).map(|p| page(&p)).collect()
+    let list = ok(here, &["run", "list", "--json"]);
+    let runs = list["runs"].as_array().unwrap().iter().rev();
+    let runs = runs.filter(|run| run["report"] == true);
+    runs.map(|run| {
+        let id = run["id"].as_str().unwrap();
+        let file = format!("{id}.html");
+        ok(here, &["run", "show", id, "--report", &file, "--json"]);
+        page(&here.join(file))
+    })
+    .collect()
 }
 
 #[test]

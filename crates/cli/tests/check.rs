@@ -119,7 +119,7 @@ fn the_objective_that_alone_is_off_is_named_and_all_that_is_kept_is_told() {
     }
     // Asked for by its name it is the answer.
     let refused = scopeservo(here, &[&check[..], &["--objective", "40x"]].concat());
-    assert_eq!(code(&refused), 2);
+    assert_eq!(code(&refused), 2, "{}", stderr(&refused));
     assert_eq!(json(&refused)["error"]["code"], "damaged");
     let history = ok(here, &["calibrations", "--json"]);
     assert_eq!(history["history"].as_array().unwrap().len(), 2);

@@ -38,7 +38,7 @@ fn status_snap_and_objective_are_single_steps_within_the_rules() {
         assert!(lines.contains(word), "{word}: {lines}");
     }
     assert!(
-        !here.join("scopeservo-data/runs").exists(),
+        !here.join("scopeservo-data/library.sqlite3").exists(),
         "a look leaves no record"
     );
 

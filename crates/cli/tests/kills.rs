@@ -6,6 +6,8 @@ mod common;
 use common::served::{Served, serve_twin};
 use common::{code, json, ok, scopeservo, stderr};
 use scopeservo_geometry::SplitMix64;
+#[cfg(target_os = "linux")]
+use scopeservo_library::{Database, RunQuery};
 use scopeservo_protocol::Driver;
 use scopeservo_scope::{Axis, Clock, SystemClock};
 use serde_json::Value;
@@ -283,10 +285,15 @@ fn a_job_does_not_go_on_from_another_place_and_can_be_abandoned() {
 #[cfg(target_os = "linux")]
 fn killed_with_its_answer(folder: &Path, args: &[&str]) {
     let ended = || {
-        let runs = fs::read_dir(folder.join("scopeservo-data/runs")).into_iter();
-        let runs = runs.flatten().flatten();
-        let logs = runs.filter_map(|run| fs::read_to_string(run.path().join("events.jsonl")).ok());
-        logs.filter(|log| log.contains("job_ended")).count()
+        let library = Database::new(folder.join("scopeservo-data"));
+        let wanted = RunQuery {
+            limit: 100,
+            ..RunQuery::default()
+        };
+        let runs = library.runs(&wanted).unwrap();
+        let logs = runs.iter().map(|run| library.run_events(&run.id).unwrap());
+        logs.filter(|log| log.iter().any(|line| line.contains("job_ended")))
+            .count()
     };
     let (reader, mut writer) = std::io::pipe().unwrap();
     let full = writer.try_clone().unwrap();

@@ -46,9 +46,13 @@ fn a_tilt_is_told_levelled_or_left_to_the_hand_and_the_answer_says_which() {
     assert!(after.unwrap() < 0.7, "{levelled}");
 
     // Its page shows the heights, before and after.
-    let runs = std::fs::read_dir(here.join("scopeservo-data/runs")).unwrap();
-    let newest = runs.map(|run| run.unwrap().path()).max().unwrap();
-    let page = std::fs::read_to_string(newest.join("report.html")).unwrap();
+    let runs = ok(here, &["run", "list", "--json"]);
+    let newest = runs["runs"][0]["id"].as_str().unwrap();
+    ok(
+        here,
+        &["run", "show", newest, "--report", "page.html", "--json"],
+    );
+    let page = std::fs::read_to_string(here.join("page.html")).unwrap();
     assert!(
         page.matches("Heights in focus over the view at 40x")
             .count()

@@ -11,6 +11,7 @@ fn a_file_is_read_up_to_its_bound_and_no_further() {
     for n in [0, 1, 99, 100] {
         std::fs::write(&path, vec![b'x'; n]).unwrap();
         assert_eq!(read(&path, 100).unwrap().len(), n);
+        assert_eq!(read(&path, u64::MAX).unwrap().len(), n);
         assert_eq!(open(&path).unwrap().1, n as u64);
     }
     for n in [101, 102, 5000] {

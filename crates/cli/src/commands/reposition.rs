@@ -1,7 +1,7 @@
 //! `scopeservo reposition`.
 
-use super::known_calibrations;
 use super::report::context;
+use super::{known_calibrations, library_of};
 use crate::answer::Answer;
 use crate::args::RepositionArgs;
 use crate::colour;
@@ -10,7 +10,7 @@ use crate::open_instrument::{OpenInstrument, Ran};
 use crate::output;
 use crate::progress::Watcher;
 use crate::views::{keep_report, try_out};
-use scopeservo_library::{Folder, KeptTarget, Targets as _};
+use scopeservo_library::{KeptTarget, Targets as _};
 use scopeservo_report as report;
 use scopeservo_scope::Axis;
 use scopeservo_servo::{
@@ -33,7 +33,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
         within_deg: asked.within_deg.or(config.arrival.within_deg),
         ..asked
     };
-    let kept = Folder::new(config.resolve(&config.data_folder)).target(&args.name)?;
+    let kept = library_of(&args.instrument.description, answer)?.target(&args.name)?;
     let foreign_um_per_px = match kept.instrument == config.name {
         true => None,
         false => Some(foreign_scale(&args.name, &kept, &config, answer)?),

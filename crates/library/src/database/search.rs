@@ -25,6 +25,11 @@ pub struct TargetQuery<'a> {
 }
 
 const BY_INDEX: &str = "targets.id IN (SELECT rowid FROM words WHERE words MATCH ?)";
+/// For what many have: target by target, from the newest on, until there are enough.
+const AMONG_THE_NEWEST: &str =
+    "EXISTS (SELECT 1 FROM words WHERE words MATCH ? AND rowid = targets.id)";
+/// What so many have is frequent.
+const FREQUENT: i64 = 2000;
 const BY_ROW: &str =
     "(targets.name || ' ' || targets.note || ' ' || coalesce(slides.name, '')) LIKE ? ESCAPE '\\'";
 
@@ -67,13 +72,23 @@ impl Database {
             rules.push("targets.slide = (SELECT id FROM slides WHERE name = ?)");
             given.push(slide.to_owned().into());
         }
-        for word in wanted.text.split_whitespace() {
-            let (rule, value) = match word.chars().count() >= INDEXED {
-                true => (BY_INDEX, format!("\"{}\"", word.replace('"', "\"\""))),
-                false => (BY_ROW, like(word)),
-            };
-            rules.push(rule);
-            given.push(value.into());
+        let words = wanted.text.split_whitespace();
+        let (long, short): (Vec<&str>, Vec<&str>) =
+            words.partition(|w| w.chars().count() >= INDEXED);
+        if !long.is_empty() {
+            let quoted = long
+                .iter()
+                .map(|w| format!("\"{}\"", w.replace('"', "\"\"")));
+            let text = quoted.collect::<Vec<_>>().join(" ");
+            rules.push(match self.is_frequent(&text)? {
+                true => AMONG_THE_NEWEST,
+                false => BY_INDEX,
+            });
+            given.push(text.into());
+        }
+        for word in short {
+            rules.push(BY_ROW);
+            given.push(like(word).into());
         }
         let limit = match wanted.limit {
             0 => -1,
@@ -87,6 +102,17 @@ impl Database {
             let mut rows = c.prepare_cached(&sql)?;
             let rows = rows.query_map(params_from_iter(given), TargetRow::of)?;
             Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Whether so many targets have all of these words that collecting them takes longer than asking the newest.
+    fn is_frequent(&self, text: &str) -> Result<bool, LibraryError> {
+        self.read(|c| {
+            let count = "SELECT count(*) FROM (SELECT 1 FROM words WHERE words MATCH ?1 LIMIT ?2)";
+            let count: i64 = c
+                .prepare_cached(count)?
+                .query_row((text, FREQUENT), |r| r.get(0))?;
+            Ok(count == FREQUENT)
         })
     }
 }
