@@ -122,7 +122,7 @@ fn the_objective_that_alone_is_off_is_named_and_all_that_is_kept_is_told() {
     assert_eq!(code(&refused), 2, "{}", stderr(&refused));
     assert_eq!(json(&refused)["error"]["code"], "damaged");
     let history = ok(here, &["calibrations", "--json"]);
-    assert_eq!(history["history"].as_array().unwrap().len(), 2);
+    assert_eq!(history["history"].as_array().unwrap().len(), 3);
     let name = impossible.file_name().unwrap().to_str().unwrap();
     assert!(history["warnings"].to_string().contains(name), "{history}");
 }

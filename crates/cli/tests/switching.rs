@@ -43,14 +43,14 @@ fn switching_tells_and_keeps_how_objectives_come_back_and_leaves_out_other_media
         number(&report["focus"]["offset_um"]["value"]).abs() < 35.0,
         "{report}"
     );
-    let folder = here.join("scopeservo-data/nosepieces/test%20bench");
-    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
     // What is damaged is a warning, and the instrument is opened without it.
+    let folder = here.join("scopeservo-data/nosepieces/test%20bench");
+    std::fs::create_dir_all(&folder).unwrap();
     std::fs::write(folder.join("000002_x.json"), "{}").unwrap();
     let focused = scopeservo(here, &["focus", "--objective", "20x"]);
     assert_eq!(code(&focused), 0, "{}", stderr(&focused));
     assert!(
-        stderr(&focused).contains("000002_x.json"),
+        stderr(&focused).contains(".json is damaged"),
         "{}",
         stderr(&focused)
     );

@@ -19,7 +19,7 @@ const ABANDONED: Duration = Duration::from_secs(60);
 const USUAL: u32 = 0o666;
 const PRIVATE: u32 = 0o600;
 /// What a trial writes: as much as a view and its run take.
-const TRIAL: [u8; 4 << 20] = [0; 4 << 20];
+static TRIAL: [u8; 4 << 20] = [0; 4 << 20];
 
 /// Writes a file, and never over another: `false` when there is one of that name.
 ///

@@ -486,7 +486,7 @@ fn a_check_names_what_is_gone_or_changed_and_mends_what_nothing_names() {
     fs::create_dir_all(litter.parent().unwrap()).unwrap();
     fs::write(&litter, "left by a killed program").unwrap();
     let checked = library.check(false, &mut |_, _| {}).unwrap();
-    assert_eq!(checked.litter, [litter.clone()]);
+    assert_eq!(checked.litter, std::slice::from_ref(&litter));
     let of = |fault: &Fault| match fault {
         Fault::Missing { of, .. } => format!("missing {of}"),
         Fault::Changed { of, .. } => format!("changed {of}"),

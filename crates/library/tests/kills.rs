@@ -40,7 +40,9 @@ fn the_writer() {
         if k % 3 == 2 {
             library.remove_target(&to).unwrap();
             say(&format!("removed {to}"));
-            library.purge_targets(Some(&[to.clone()])).unwrap();
+            library
+                .purge_targets(Some(std::slice::from_ref(&to)))
+                .unwrap();
             say(&format!("purged {to} {id}"));
         }
     }

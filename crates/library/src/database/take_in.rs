@@ -216,15 +216,20 @@ impl TakeIn<'_> {
             .parent()
             .and_then(Path::file_name)
             .unwrap_or_default();
-        let folder = name_of(&folder.to_string_lossy());
+        let folder = folder.to_string_lossy();
         let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
         let made = text(&said["made"]);
+        // That of its folder where it is damaged.
+        let instrument = match said["instrument"].as_str() {
+            Some(name) => name.to_owned(),
+            None => called(change, &folder)?.unwrap_or_default(),
+        };
         let (kind, instrument, of) = match kind {
             "calibrations" => {
                 let of = said["calibration"]["objective"]
                     .as_str()
                     .map(str::to_owned)
-                    .or(folder);
+                    .or_else(|| name_of(&folder));
                 let Some(of) = of else {
                     return Err(LibraryError::damaged(
                         &old.path,
@@ -234,11 +239,11 @@ impl TakeIn<'_> {
                 };
                 (Kind::Calibration, text(&said["instrument"]), of)
             }
-            "calibration-sets" => (Kind::Set, of_instrument(&said, folder), String::new()),
+            "calibration-sets" => (Kind::Set, instrument, String::new()),
             "nosepieces" => {
                 let pair = &said["switching"];
                 let of = format!("{} to {}", text(&pair["from"]), text(&pair["to"]));
-                (Kind::Switching, of_instrument(&said, folder), of)
+                (Kind::Switching, instrument, of)
             }
             _ => {
                 let stem = old
@@ -329,10 +334,13 @@ impl TakeIn<'_> {
     }
 }
 
-/// The instrument of a file; that of its folder where it is damaged.
-fn of_instrument(said: &Value, folder: Option<String>) -> String {
-    let said = said["instrument"].as_str().map(str::to_owned);
-    said.or(folder).unwrap_or_default()
+/// The instrument whose files are called so: one that is known, or one whose name is plain.
+fn called(change: &Transaction<'_>, file: &str) -> Done<Option<String>> {
+    let mut all = change.prepare_cached("SELECT name FROM instruments")?;
+    let all = all.query_map([], |row| row.get::<_, String>(0))?;
+    let known: Vec<String> = all.collect::<Result<_, _>>()?;
+    let known = known.into_iter().find(|name| file_name(name) == file);
+    Ok(known.or_else(|| name_of(file)))
 }
 
 /// The instrument and the size of what lay on a camera, by the name of its file.
@@ -341,14 +349,10 @@ fn camera(change: &Transaction<'_>, stem: &str) -> Done<Option<(String, String)>
         let (w, h) = size.split_once('x')?;
         Some((name, size_word([w.parse().ok()?, h.parse().ok()?])))
     });
-    let Some((called, size)) = parts else {
-        return Ok(None);
-    };
-    let mut all = change.prepare_cached("SELECT name FROM instruments")?;
-    let all = all.query_map([], |row| row.get::<_, String>(0))?;
-    let known: Vec<String> = all.collect::<Result<_, _>>()?;
-    let known = known.into_iter().find(|name| file_name(name) == called);
-    Ok(known.or_else(|| name_of(called)).map(|name| (name, size)))
+    match parts {
+        Some((name, size)) => Ok(called(change, name)?.map(|name| (name, size))),
+        None => Ok(None),
+    }
 }
 
 /// A removed target's name, and when it was removed: NAME_2026-11-24T20-15-00Z, or with _1 behind.
