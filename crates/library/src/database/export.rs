@@ -1,6 +1,6 @@
 //! A library as plain files, as versions without a database kept it: whoever wants to leave takes all along.
 
-use crate::database::measured::Kind;
+use crate::database::measured_rows::Kind;
 use crate::database::store::Database;
 use crate::files::{make_folder, write_new};
 use crate::folder::{Folder, SCHEMA, entries, to_json};

@@ -4,10 +4,9 @@
 use crate::calibrations::{kept_in, kept_now, newest};
 use crate::cameras::{from_png, to_png};
 use crate::database::bin::Gone;
-use crate::database::objects::Stored;
-use crate::database::rows::{instrument, row_of, within};
+use crate::database::measured_rows::{Kind, insert, size_word};
+use crate::database::rows::within;
 use crate::database::store::Database;
-use crate::database::wrong::Done;
 use crate::folder::{SCHEMA, parse, to_json};
 use crate::names::utc;
 use crate::nosepieces::newest_of_each;
@@ -15,53 +14,13 @@ use crate::{
     CalibrationFile, CalibrationSets, Calibrations, Cameras, KeptCalibration, KeptSet,
     KeptSwitching, LibraryError, Nosepieces,
 };
-use rusqlite::{Transaction, params};
+use rusqlite::params;
 use scopeservo_scope::{AxisRange, FlatField, Length, Objective, ObjectiveId};
 use scopeservo_servo::{Calibration, CalibrationSet, SwitchingReport};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
-
-/// A kind of measurement, as its rows have it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Kind {
-    Calibration,
-    Set,
-    Switching,
-    Shadows,
-}
-
-impl Kind {
-    pub(crate) fn word(self) -> &'static str {
-        match self {
-            Self::Calibration => "calibration",
-            Self::Set => "set",
-            Self::Switching => "switching",
-            Self::Shadows => "shadows",
-        }
-    }
-}
-
-/// Puts the row of a measurement in.
-pub(crate) fn insert(
-    change: &Transaction<'_>,
-    kind: Kind,
-    [of_instrument, of, made]: [&str; 3],
-    file: &Stored,
-) -> Done<()> {
-    row_of(change, file)?;
-    let instrument = instrument(change, of_instrument)?;
-    change
-        .prepare_cached("INSERT INTO measurements (kind, instrument, of, made, file) VALUES (?1, ?2, ?3, ?4, ?5)")?
-        .execute(params![kind.word(), instrument, of, made, file.name])?;
-    Ok(())
-}
-
-/// An image's size, as rows have it.
-pub(crate) fn size_word([width, height]: [usize; 2]) -> String {
-    format!("{width}x{height}")
-}
 
 impl Database {
     /// The files of a kind in the order in which they were kept, each with what it is of; of one instrument, or of all. Those that are not there

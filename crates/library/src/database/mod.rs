@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `1.sql`, `schema` | the tables; how an older database becomes the present one |
 //! | `objects` | the files beside |
-//! | `rows`, `target_rows`, `run_rows` | how rows are written and read |
+//! | `rows`, `target_rows`, `measured_rows`, `run_rows` | how rows are written and read |
 //! | `store` | the database, opened when it is first asked for something |
 //! | `targets`, `search`, `slides`, `measured`, `runs`, `journal` | what is kept |
 //! | `bin`, `budget` | what goes: at once and for good, or for want of room |
@@ -20,6 +20,7 @@ mod drive;
 mod export;
 mod journal;
 mod measured;
+mod measured_rows;
 mod objects;
 mod old;
 mod rebuild;

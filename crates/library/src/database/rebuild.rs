@@ -1,7 +1,7 @@
 //! A database made anew from the files beside it, where it was lost: targets under the names that they were saved under, and what was measured
 //! of instruments. What only rows had is gone: later names, notes, slides and runs.
 
-use crate::database::measured::{Kind, insert};
+use crate::database::measured_rows::{Kind, insert};
 use crate::database::store::Database;
 use crate::database::target_rows::NewRow;
 use crate::targets::{kept_of, png};

@@ -1,7 +1,7 @@
 //! What earlier versions kept as files becomes rows, file by file: whoever is killed meanwhile goes on the next time. What was taken in is put
 //! aside as it was; what is damaged is told, and does not keep the rest away.
 
-use crate::database::measured::{Kind, insert, size_word};
+use crate::database::measured_rows::{Kind, insert, size_word};
 use crate::database::objects::Objects;
 use crate::database::old::put_aside;
 use crate::database::rows::within;
