@@ -46,7 +46,17 @@ const ROUTES = [
     const target = w.targets.find((t) => t.name === name);
     return target && { kind: "image/png", bytes: view(target.where) };
   }],
-  ["PATCH", /^targets\/([^/]+)$/, (w, name, body) => (Object.assign(w.targets.find((t) => t.name === name), body), w.revision++, {})],
+  ["PATCH", /^targets\/([^/]+)$/, (w, name, { restore, ...to }) => {
+    const back = restore && (w.bin ?? []).find((t) => t.name === name);
+    if (back) {
+      w.bin = w.bin.filter((t) => t !== back);
+      const { binned, ...target } = back;
+      w.targets.unshift(target);
+    }
+    Object.assign(w.targets.find((t) => t.name === name), to);
+    w.revision++;
+    return {};
+  }],
   ["DELETE", /^targets\/([^/]+)$/, (w, name) => ((w.bin = [...w.targets.filter((t) => t.name === name).map((t) => ({ ...t, binned: new Date().toISOString() })), ...(w.bin ?? [])]), (w.targets = w.targets.filter((t) => t.name !== name)), w.revision++, {})],
   ["DELETE", /^bin\/([^/]+)$/, (w, name) => ((w.bin = (w.bin ?? []).filter((t) => t.name !== name)), w.revision++, {})],
   ["GET", /^runs$/, (w) => w.runs],

@@ -173,7 +173,7 @@ test("no permission", { targets: SOME(), me: { user: "eve", role: "viewer", here
   await button(page, "Targets").click();
   assert.equal(await page.locator(".contact").getByRole("button", { name: /^Go back/ }).count(), 0);
   await button(page, /^open mitosis-3/).click();
-  assert.equal(await page.getByRole("dialog").getByRole("button", { name: /^(Rename|Remove)/ }).count(), 0);
+  assert.equal(await page.getByRole("dialog").getByRole("button", { name: /^(Keep|Remove)/ }).count(), 0);
   await button(page, "Close").click();
   assert.deepEqual([world.asked, count(world, "jog")], [[], 0], "nothing was asked that would be refused");
   await button(page, "Live").click();
@@ -325,12 +325,34 @@ test("contact sheet", { targets: SOME() }, async ({ page, world, shoot }) => {
   await page.getByRole("dialog", { name: "gland" }).waitFor();
   await shoot("target");
   await page.getByRole("dialog").getByLabel("name").fill("gland-2");
-  await button(page, "Rename").click();
+  await button(page, "Keep").click();
   await until(() => world.targets.some((t) => t.name === "gland-2"), "it was not renamed");
   await button(page, /^open gland-2/).click();
   await button(page, /^Remove/).click();
   await button(page, /^Yes/).click();
   await until(() => world.targets.length === 2, "it was not taken out");
+});
+
+test("a slide and a note are written down, and what lies in the bin is taken back", { targets: SOME() }, async ({ page, world, shoot }) => {
+  await button(page, "Targets").click();
+  await button(page, /^open gland/).click();
+  const one = page.getByRole("dialog", { name: "gland" });
+  await one.getByLabel("slide").fill("17-B");
+  await one.getByLabel("note").fill("at the rim");
+  await shoot("edit");
+  await button(page, "Keep").click();
+  await until(() => world.targets.some((t) => t.slide === "17-B" && t.note === "at the rim"), "it was not written down");
+  await button(page, /^open gland/).click();
+  await button(page, /^Remove/).click();
+  await button(page, /^Yes/).click();
+  await until(() => world.targets.length === 2, "it was not taken out");
+  await button(page, "Bin").click();
+  const bin = page.getByRole("dialog", { name: "Bin" });
+  await bin.getByText("gland", { exact: true }).waitFor();
+  await shoot("bin");
+  await bin.getByRole("button", { name: "Take back" }).click();
+  await until(() => world.targets.length === 3, "it was not taken back");
+  await bin.getByText("Nothing lies in it.").waitFor();
 });
 
 test("several are taken out at once", { targets: SOME() }, async ({ page, world, shoot }) => {
