@@ -165,7 +165,18 @@ fn main() -> Outcome<()> {
         ) => Specimens::slide(path, *um_per_px)?,
         _ => Specimens::tissue(),
     };
-    let path = args.out.join(format!("{name}-{method_name}.jsonl"));
+    // Rounds over another specimen are other rounds.
+    let over = match &args.study {
+        Study::Table2 {
+            specimen: Some(path),
+            ..
+        } => format!(
+            "-{}",
+            path.file_stem().unwrap_or_default().to_string_lossy()
+        ),
+        _ => String::new(),
+    };
+    let path = args.out.join(format!("{name}{over}-{method_name}.jsonl"));
     let records = rounds(
         &path,
         &numbers,
