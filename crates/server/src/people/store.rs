@@ -73,20 +73,56 @@ impl Accounts {
         let mut changed = self.clone();
         change(&mut changed)?;
         if let Some(file) = &self.file {
-            let kept = changed.write(file);
-            kept.map_err(|e| {
+            let lost = |e: std::io::Error| {
                 ApiError::fault(format!("{} could not be kept: {e}", file.display()))
-            })?;
+            };
+            let bytes = serde_json::to_vec_pretty(&changed).map_err(|e| lost(e.into()))?;
+            // What is written must be read again.
+            if bytes.len() as u64 > LARGEST {
+                let message = "there are too many users and tokens: end those that nobody needs";
+                return Err(ApiError::conflict("too_many", message));
+            }
+            write(file, &bytes).map_err(lost)?;
         }
         *self = changed;
         Ok(())
     }
+}
 
-    fn write(&self, file: &Path) -> std::io::Result<()> {
-        if let Some(folder) = file.parent() {
-            make_folder(folder)?;
-        }
-        let bytes = serde_json::to_vec_pretty(self).map_err(std::io::Error::other)?;
-        replace_private(file, &bytes)
+fn write(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    if let Some(folder) = file.parent() {
+        make_folder(folder)?;
+    }
+    replace_private(file, bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_would_be_too_much_to_be_read_again_is_refused_and_nothing_is_lost() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("people.json");
+        let mut accounts = Accounts::read(file.clone()).unwrap();
+        let mut add = |count: usize| {
+            accounts.change(|accounts| {
+                for _ in 0..count {
+                    let n = accounts.tokens.len();
+                    accounts.tokens.push(Token {
+                        name: format!("token-{n}"),
+                        role: Role::Viewer,
+                        made_by: "anna".into(),
+                        checksum: "0".repeat(64),
+                    });
+                }
+                Ok(())
+            })
+        };
+        add(1000).unwrap();
+        let refused = add(10_000).unwrap_err();
+        assert_eq!(refused.code, "too_many");
+        let again = Accounts::read(file).unwrap();
+        assert_eq!(again.tokens.len(), 1000);
     }
 }
