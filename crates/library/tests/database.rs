@@ -552,6 +552,28 @@ fn a_backup_is_the_library_and_is_brought_back_whole_or_not_at_all() {
 }
 
 #[test]
+fn a_backup_and_a_purge_at_once_end_both() {
+    let (dir, library) = new();
+    for k in 0..20 {
+        keep(&library, &format!("t-{k}"), &Label::default()).unwrap();
+    }
+    std::thread::scope(|threads| {
+        threads.spawn(|| {
+            for k in 0..10 {
+                let file = dir.path().join(format!("{k}.tar"));
+                let done = library.back_up(&file, &mut |_, _| {}).unwrap();
+                assert!(done.missing.is_empty(), "{done:?}");
+            }
+        });
+        for k in 0..20 {
+            library.remove_target(&format!("t-{k}")).unwrap();
+            library.purge_targets(None).unwrap();
+        }
+    });
+    assert_eq!(library.check(false, &mut |_, _| {}).unwrap().targets, 0);
+}
+
+#[test]
 fn an_export_is_plain_files_that_another_library_takes_in_again() {
     let (dir, library) = new();
     keep(&library, "spot", &label("17-B", "a note")).unwrap();

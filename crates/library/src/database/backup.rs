@@ -51,14 +51,14 @@ impl Database {
             .tempdir_in(folder);
         let work = work.map_err(not_kept)?;
         let copy = work.path().join(DATABASE);
-        // Nothing that the copy names is swept until it is in the archive.
-        let _held = self.objects().hold()?;
-        let objects: Vec<String> = self.read(|c| {
+        // Nothing that the copy names is swept until it is in the archive. Held while the database is: whoever sweeps takes both in that order.
+        let (_held, objects) = self.read(|c| {
+            let held = self.objects().hold()?;
             c.execute("VACUUM INTO ?1", [copy.to_string_lossy()])?;
             let copy = Connection::open(&copy)?;
             let mut names = copy.prepare("SELECT name FROM objects ORDER BY name")?;
             let names = names.query_map([], |row| row.get(0))?;
-            Ok(names.collect::<Result<_, _>>()?)
+            Ok((held, names.collect::<Result<Vec<String>, _>>()?))
         })?;
         let file = tempfile::Builder::new()
             .prefix(".scopeservo-backup-")
