@@ -4,10 +4,8 @@ use crate::answer::Answer;
 use crate::args::{RunListArgs, RunPinArgs, RunShowArgs};
 use crate::commands::library_of;
 use crate::error::CliError;
-use scopeservo_library::files::write_new;
-use scopeservo_library::{LibraryError, RunQuery, RunRow};
+use scopeservo_library::{LibraryError, RunQuery, RunRow, keep_new};
 use serde_json::{Value, json};
-use std::io;
 
 /// How a run came out, in a few words.
 pub(crate) fn outcome(run: &RunRow) -> String {
@@ -81,7 +79,7 @@ pub(crate) fn show(args: &RunShowArgs, answer: &Answer) -> Result<bool, CliError
             path: from.clone(),
             what: e.to_string(),
         })?;
-        keep(file, &page)?;
+        keep_new(file, &page)?;
         say!(answer, "  its report is in {}", file.display());
     }
     if args.events {
@@ -93,13 +91,6 @@ pub(crate) fn show(args: &RunShowArgs, answer: &Answer) -> Result<bool, CliError
         }
     }
     Ok(true)
-}
-
-/// A new file, never over another.
-fn keep(file: &std::path::Path, bytes: &[u8]) -> Result<(), CliError> {
-    let taken = || io::Error::other("there is a file of that name already");
-    let written = write_new(file, bytes).and_then(|new| new.then_some(()).ok_or_else(taken));
-    Ok(written.map_err(LibraryError::not_kept(file))?)
 }
 
 pub(crate) fn pin(args: &RunPinArgs, answer: &Answer) -> Result<bool, CliError> {

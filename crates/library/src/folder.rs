@@ -104,6 +104,16 @@ pub(crate) fn to_png(
     Ok(png)
 }
 
+/// Writes a file of its own for somebody, and never over another.
+///
+/// # Errors
+/// [`LibraryError::NotKept`], also where there is one of that name.
+pub fn keep_new(path: &Path, bytes: &[u8]) -> Result<(), LibraryError> {
+    let taken = || io::Error::other("there is a file of that name already");
+    let written = write_new(path, bytes).and_then(|new| new.then_some(()).ok_or_else(taken));
+    written.map_err(LibraryError::not_kept(path))
+}
+
 /// What a folder takes no more files for.
 pub(crate) fn no_number(folder: &Path) -> io::Error {
     let what = format!(

@@ -27,7 +27,7 @@ pub use database::{
     SlideRow, TargetQuery, TargetRow, restore,
 };
 pub use error::LibraryError;
-pub use folder::Folder;
+pub use folder::{Folder, keep_new};
 pub use journal::{Journal, JournalHead, JournalStep, Journalled};
 pub use names::{check_slide, utc};
 pub use nosepieces::{KeptSwitching, Nosepieces};

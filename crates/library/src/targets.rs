@@ -2,7 +2,7 @@
 //! people.
 
 use crate::files::{self, is_there, make_folder, write_new};
-use crate::folder::{Folder, entries, is_json, parse, read, to_json, to_png};
+use crate::folder::{Folder, entries, is_json, keep_new, parse, read, to_json, to_png};
 use crate::names::{check_name, plain_name, utc};
 use crate::{KeptTarget, LibraryError, target_file};
 use image::ExtendedColorType;
@@ -338,13 +338,7 @@ impl Targets for Folder {
 
     fn export_target(&self, name: &str, to: &Path) -> Result<(), LibraryError> {
         let (bytes, _) = target_file::encode(&self.target(name)?, Some(name))?;
-        match write_new(to, &bytes).map_err(LibraryError::not_kept(to))? {
-            true => Ok(()),
-            false => Err(LibraryError::NotKept {
-                path: to.into(),
-                what: "there is a file of that name already".into(),
-            }),
-        }
+        keep_new(to, &bytes)
     }
 
     fn import_target(&self, from: &Path, name: &str) -> Result<KeptTarget, LibraryError> {

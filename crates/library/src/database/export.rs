@@ -2,11 +2,11 @@
 
 use crate::database::measured_rows::Kind;
 use crate::database::store::Database;
-use crate::files::{make_folder, write_new};
+use crate::files::make_folder;
 use crate::folder::{Folder, SCHEMA, entries, to_json};
 use crate::runs::KeptRun;
 use crate::targets::{ENDING, is_first};
-use crate::{LibraryError, RunHead, RunQuery, TargetQuery};
+use crate::{LibraryError, RunHead, RunQuery, TargetQuery, keep_new};
 use scopeservo_scope::ObjectiveId;
 use serde::Serialize;
 use std::io;
@@ -189,10 +189,5 @@ fn put(path: &Path, bytes: &[u8]) -> Result<(), LibraryError> {
     if let Some(folder) = path.parent() {
         make_folder(folder).map_err(LibraryError::not_kept(folder))?;
     }
-    match write_new(path, bytes).map_err(LibraryError::not_kept(path))? {
-        true => Ok(()),
-        false => Err(LibraryError::not_kept(path)(io::Error::other(
-            "there is a file of that name already",
-        ))),
-    }
+    keep_new(path, bytes)
 }

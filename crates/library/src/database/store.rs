@@ -14,6 +14,7 @@ use std::time::Duration;
 
 /// The database's file in its folder.
 const FILE: &str = "library.sqlite3";
+
 /// A library in a database, with what is too large for it in files beside. Nothing is made on disk before something is kept. What files of
 /// earlier versions lie in the folder is taken in when it is opened.
 #[derive(Debug)]

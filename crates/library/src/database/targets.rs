@@ -7,7 +7,7 @@ use crate::database::target_rows::{COLUMNS, FROM, NewRow, TargetRow};
 use crate::database::wrong::{Done, Wrong};
 use crate::names::{check_name, plain_name, utc};
 use crate::targets::{is_first, kept_of, picture_of, png, taken};
-use crate::{KeptTarget, Label, LibraryError, NewTarget, Targets, files, target_file};
+use crate::{KeptTarget, Label, LibraryError, NewTarget, Targets, keep_new, target_file};
 use rusqlite::{Connection, OptionalExtension as _, Transaction, params};
 use scopeservo_scope::Frame;
 use std::path::{Path, PathBuf};
@@ -248,13 +248,7 @@ impl Targets for Database {
             true => target_file::encode(&kept, Some(name))?.0,
             false => self.objects().get(&row.file)?,
         };
-        match files::write_new(to, &bytes).map_err(LibraryError::not_kept(to))? {
-            true => Ok(()),
-            false => Err(LibraryError::NotKept {
-                path: to.into(),
-                what: "there is a file of that name already".into(),
-            }),
-        }
+        keep_new(to, &bytes)
     }
 
     fn import_target(&self, from: &Path, name: &str) -> Result<KeptTarget, LibraryError> {
