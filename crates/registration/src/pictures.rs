@@ -5,7 +5,7 @@ use crate::corners::centre;
 use crate::likeness::Pair;
 use crate::{
     Estimate, NotFound, Options, Prior, Registration, Rival, find_rivals, periods, register,
-    shifted, undecided,
+    shifted, turned, undecided,
 };
 use scopeservo_features::{FeatureEngine, FeatureError, Features, GrayImage};
 use scopeservo_geometry::{Affine2, Mat2};
@@ -158,7 +158,8 @@ fn judge(
             };
         }
     }
-    let mut rivals = shifted(&estimate, &periods(target));
+    let periods = periods(target);
+    let mut rivals = shifted(&estimate, &periods);
     rivals.extend(find_rivals(
         view_features,
         target_features,
@@ -169,7 +170,12 @@ fn judge(
     ));
     // What decides for an image that stays may itself be fixed to the camera.
     let trusted = !stays || equal;
-    if let Some(rival) = undecided(&pair, &transform, &rivals, trusted, |_| true) {
+    let open = |rivals: &[Rival]| undecided(&pair, &transform, rivals, trusted, |_| true);
+    let turns = || match periods.is_empty() {
+        true => Vec::new(),
+        false => turned(&estimate, target),
+    };
+    if let Some(rival) = open(&rivals).or_else(|| open(&turns())) {
         return PictureVerdict::Ambiguous { estimate, rival };
     }
     PictureVerdict::Found {
