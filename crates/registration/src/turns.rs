@@ -19,8 +19,11 @@ const MOST_SAMPLES: usize = 80_000;
 const MOST: usize = 3;
 
 /// The first transform, followed by each turn under which the target may look like itself: rivals that need no feature to be thought of.
-/// None of a target that is no lattice.
-pub fn turned(first: &Estimate, target: &GrayImage) -> Vec<Rival> {
+/// None of a target without two periods; without any nothing is computed.
+pub fn turned(first: &Estimate, target: &GrayImage, periods_px: &[Vec2]) -> Vec<Rival> {
+    if periods_px.is_empty() {
+        return Vec::new();
+    }
     let Some(likeness) = SelfLikeness::of(target) else {
         return Vec::new();
     };
@@ -188,6 +191,7 @@ fn spectrum(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::periods;
 
     fn quarters(turns: &[Mat2]) -> Vec<f64> {
         let mut angles: Vec<f64> = turns
@@ -223,7 +227,7 @@ mod tests {
             }
         })
         .unwrap();
-        let all = turned(&Estimate::at_rest(), &image);
+        let all = turned(&Estimate::at_rest(), &image, &periods(&image));
         for angle in [-90.0f64, 90.0, 180.0] {
             let near = |r: &&Rival| {
                 let off = (r.turn_rad.to_degrees() - angle).rem_euclid(360.0);
