@@ -72,6 +72,7 @@ impl Gcs2Stage {
             stop_timeout: settings.stop_timeout(),
             settle_timeout: settings.settle_timeout(),
             doing: Mutex::new(Doing::Nothing),
+            velocity_owed: Mutex::new(None),
             homed: Mutex::new(false),
             knows_reference,
         })
