@@ -122,6 +122,9 @@ impl Gcs2Stage {
         if goal.is_empty() {
             return Ok(());
         }
+        if part == Part::Stage {
+            self.check_units(&mut ex)?;
+        }
         let targets: Vec<_> = goal.iter().map(|g| (g.name.clone(), g.to)).collect();
         if self.coupled && part == Part::Stage {
             let lines = ask(&mut ex, &Command::CanReach(&targets))?;

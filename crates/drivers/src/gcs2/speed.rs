@@ -107,7 +107,7 @@ fn of_axis(ex: &mut Exchange<'_>, name: &codec::AxisName) -> Result<Option<Veloc
     )?;
     Ok(Some(Velocity {
         usual,
-        back: format!("VEL {name} {said}\n").into_bytes(),
+        back: format!("VEL {name} {}\n", plain(&said, usual)).into_bytes(),
     }))
 }
 
@@ -117,6 +117,32 @@ fn platform(ex: &mut Exchange<'_>) -> Result<Option<Velocity>, ScopeError> {
     };
     Ok(Some(Velocity {
         usual,
-        back: format!("VLS {said}\n").into_bytes(),
+        back: format!("VLS {}\n", plain(&said, usual)).into_bytes(),
     }))
+}
+
+/// The digits that a controller said, where they are such as are sent: some say 5.0e+00, and nobody knows whether they read it.
+fn plain(said: &str, value: f64) -> String {
+    match said.bytes().all(|b| b.is_ascii_digit() || b == b'.') {
+        true => said.to_string(),
+        false => format!("{value:.6}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_velocity_is_put_back_in_digits_that_every_controller_reads() {
+        for (said, sent) in [
+            ("10.000000", "10.000000"),
+            ("0.12345678", "0.12345678"),
+            ("5", "5"),
+            ("5.0000000e+00", "5.000000"),
+            ("+1.2E-1", "0.120000"),
+        ] {
+            assert_eq!(plain(said, said.parse().unwrap()), sent, "{said}");
+        }
+    }
 }

@@ -47,6 +47,8 @@ pub struct Gcs2Stage {
     pub(super) info: StageInfo,
     pub(super) plans: Vec<AxisPlan>,
     pub(super) names: Vec<AxisName>,
+    /// What the controller said that it counts them in; empty words where it does not say.
+    pub(super) units_said: Vec<String>,
     pub(super) nosepiece: Option<Nosepiece>,
     pub(super) coupled: bool,
     pub(super) stop_timeout: Duration,
