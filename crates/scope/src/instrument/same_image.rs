@@ -40,7 +40,7 @@ impl AtRest {
         match same {
             false => {
                 self.differed = self.differed.saturating_add(1);
-                self.alike = false;
+                (self.alike, self.doubted) = (false, false);
             }
             true => self.quiet |= !noisy,
         }
@@ -51,7 +51,7 @@ impl AtRest {
         self.doubted = true;
     }
 
-    /// Takes an image that is another one than the last.
+    /// Takes an image from elsewhere that is another one than the last.
     fn changed(&mut self) {
         self.alike |= std::mem::take(&mut self.doubted);
     }
@@ -87,11 +87,10 @@ impl Shown {
         let Some(print) = print(&frame.samples, frame.channels.count()) else {
             return false;
         };
-        if let Some(before) = last.filter(|before| before.at == at) {
-            at_rest.take(before.print == print);
-        }
-        if last.is_some_and(|before| before.print != print) {
-            at_rest.changed();
+        match *last {
+            Some(before) if before.at == at => at_rest.take(before.print == print),
+            Some(before) if before.print != print => at_rest.changed(),
+            _ => {}
         }
         let again = match *last {
             Some(before) if before.print == print => {
@@ -197,8 +196,10 @@ mod tests {
         at_rest.changed();
         assert!(!take(&mut at_rest, true), "it lives, and has no noise");
         assert!(!take(&mut at_rest, true));
-        // It has noise all the same: then the same image counts again.
+        // What differs at rest has noise, asked or not: then the same image counts again.
+        at_rest.doubt();
         assert!(!take(&mut at_rest, false));
+        at_rest.changed();
         assert!(take(&mut at_rest, true));
     }
 
