@@ -349,7 +349,6 @@ fn save(
         still: bench.config.target.still,
         known: bench.known_calibrations(|_| {}),
         vision: VisionOptions::default(),
-        ..SaveTargetInput::default()
     };
     let inputs = json!({"name": name, "slide": label.slide, "note": label.note, "input": input});
     Wish::job(Request::SaveTarget(input), Some(name), inputs)
