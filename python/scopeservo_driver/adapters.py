@@ -103,7 +103,13 @@ class StageAdapter:
             said["positive_z"] = self.positive_z
         if not self._is_homed():
             said["homed"] = False
+        if self._knows_speeds():
+            said["speeds"] = True
         return said
+
+    def _knows_speeds(self) -> bool:
+        known = getattr(self.device, "knows_speeds", None)
+        return callable(getattr(self.device, "move_at", None)) if known is None else bool(known)
 
     def _is_homed(self) -> bool:
         return bool(getattr(self.device, "homed", True))
@@ -137,10 +143,25 @@ class StageAdapter:
                 raise OutsideLimits(
                     f"{axis} {place:g} {unit} is outside the travel, {ends.min:g} to {ends.max:g} {unit}"
                 )
+        speed_um_per_s = self._speed(request)
         self._check_homed()
         self._check_still()
-        self.device.move({FIELD_OF_AXIS[axis]: place for axis, place in goal.items()})
+        named = {FIELD_OF_AXIS[axis]: place for axis, place in goal.items()}
+        if speed_um_per_s is None:
+            self.device.move(named)
+        else:
+            self.device.move_at(named, speed_um_per_s)
         return Reply()
+
+    def _speed(self, request: Request) -> float | None:
+        if "speed_um_per_s" not in request:
+            return None
+        if not self._knows_speeds():
+            raise Unsupported("the speed of this stage cannot be chosen")
+        speed_um_per_s = request.number("speed_um_per_s")
+        if not speed_um_per_s > 0:
+            raise OutsideLimits(f"a speed is above 0; {speed_um_per_s:g} um/s was asked for")
+        return speed_um_per_s
 
     def _check_still(self) -> None:
         if _motion(self.device) == "moving":

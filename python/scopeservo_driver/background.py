@@ -104,12 +104,23 @@ class BlockingStage(Stage):
         """Find the reference and return when done. Left as it is, `home` is unsupported."""
         raise NotImplementedError
 
+    @property
+    def knows_speeds(self) -> bool:
+        """Whether the class has `move_and_wait_at(goal, speed_um_per_s)`, which leaves the usual speed behind, also when it fails."""
+        return callable(getattr(self, "move_and_wait_at", None))
+
     def move(self, goal: Mapping[str, float]) -> None:
         wanted = dict(goal)
-        self.background.start(lambda: self._move_and_look(wanted))
+        self.background.start(lambda: self._move_and_look(wanted, lambda: self.move_and_wait(wanted)))
 
-    def _move_and_look(self, goal: dict[str, float]) -> None:
-        self.move_and_wait(goal)
+    def move_at(self, goal: Mapping[str, float], speed_um_per_s: float) -> None:
+        """As `move`, no faster than that along the way."""
+        wanted = dict(goal)
+        go = getattr(self, "move_and_wait_at")
+        self.background.start(lambda: self._move_and_look(wanted, lambda: go(wanted, speed_um_per_s)))
+
+    def _move_and_look(self, goal: dict[str, float], go: Callable[[], None]) -> None:
+        go()
         if self.background.stop_asked.is_set():
             return
         if self.tolerance_um is None and self.tolerance_deg is None:

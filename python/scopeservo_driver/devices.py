@@ -131,6 +131,12 @@ class Stage(ABC):
     def stop(self) -> None:
         """Stop everything that moves, now. Called from another thread, at any time; must return within 0.2 s."""
 
+    # A stage whose speed can be chosen has one method more, and only then is asked for it:
+    #
+    #     def move_at(self, goal: Mapping[str, float], speed_um_per_s: float) -> None
+    #
+    # As `move`, no faster than that along the way. The usual speed is back for the next move, however this one ends.
+
     def home(self) -> None:
         """Start finding the reference and return at once; may move anything anywhere."""
         raise Unsupported("this stage cannot be homed by the program; home it with its maker's tool")

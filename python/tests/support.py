@@ -194,7 +194,7 @@ class TimedStage(Stage):
         rotation("rz", min_deg=-180, max_deg=180, repeatability_deg=0.01),
     ]
     positive_z = "closer"
-    speed_per_s = 1000.0
+    usual_per_s = 1000.0
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -202,6 +202,7 @@ class TimedStage(Stage):
         self._goal = dict(self._begin)
         self._began_s = 0.0
         self._stopped = False
+        self.speed_per_s = self.usual_per_s
         self.stops = 0
         self.moves_begun = 0
 
@@ -219,11 +220,15 @@ class TimedStage(Stage):
 
     def move(self, goal: Mapping[str, float]) -> None:
         with self._lock:
-            self.moves_begun += 1
-            self._begin = self._place()
-            self._goal = {**self._begin, **goal}
-            self._began_s = time.monotonic()
-            self._stopped = False
+            self._go(goal, self.usual_per_s)
+
+    def _go(self, goal: Mapping[str, float], speed_per_s: float) -> None:
+        self.moves_begun += 1
+        self._begin = self._place()
+        self.speed_per_s = speed_per_s
+        self._goal = {**self._begin, **goal}
+        self._began_s = time.monotonic()
+        self._stopped = False
 
     def motion(self) -> str:
         with self._lock:

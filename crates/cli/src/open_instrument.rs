@@ -9,7 +9,7 @@ use crate::console::{Console, hand_on};
 use crate::error::{CliError, Code};
 use crate::progress::Watcher;
 use scopeservo_scope::{CancelToken, Instrument};
-use scopeservo_servo::ErrorKind;
+use scopeservo_servo::{ErrorKind, FocusOptions};
 use scopeservo_setup::{Config, Consent, home_if_needed};
 use scopeservo_station::{News, StationEvent, UseCase};
 use scopeservo_workbench::{Asked, Late, Made, RunRecord, Told, Workbench};
@@ -85,6 +85,14 @@ pub(crate) fn stop_on_interrupt(cancel: &CancelToken, answer: &Answer) -> StopHa
     stop
 }
 
+/// As [`OpenInstrument::focusing`], before it is open.
+pub(crate) fn focusing(config: &Config, asked: FocusOptions) -> FocusOptions {
+    FocusOptions {
+        sweep: asked.sweep || config.focus.sweep,
+        ..asked
+    }
+}
+
 impl OpenInstrument {
     /// The instrument, homed where it needs that and the user agreed.
     pub(crate) fn open(args: &InstrumentArgs, answer: &Answer) -> Result<Self, CliError> {
@@ -92,6 +100,11 @@ impl OpenInstrument {
         // Told like every other motion.
         home_if_needed(&opened.scope, &consent)?;
         Ok(opened)
+    }
+
+    /// How a focus was asked for, with what the description says of all of them.
+    pub(crate) fn focusing(&self, asked: FocusOptions) -> FocusOptions {
+        focusing(&self.config, asked)
     }
 
     /// The instrument as it is, for a look at it: nothing is homed.

@@ -44,6 +44,8 @@ pub(crate) struct Session {
     /// How many stops were asked for.
     stops: AtomicU64,
     stop: StopBytes,
+    /// What is written after the stop when the link is closed.
+    at_close: Mutex<Vec<u8>>,
     reply_timeout: Duration,
     /// Whether noise around a line is passed over.
     noisy: bool,
@@ -73,6 +75,7 @@ impl Session {
             closed: Mutex::new(None),
             stops: AtomicU64::new(0),
             stop,
+            at_close: Mutex::default(),
             reply_timeout,
             noisy: false,
             unread: Mutex::default(),
@@ -149,13 +152,17 @@ impl Session {
             let _writing = lock(&self.writing);
             // A device whose answers nobody can read must not go on moving; it may be past hearing.
             let _ = self.transport.write(self.stop.bytes);
+            let last = lock(&self.at_close);
+            if !last.is_empty() {
+                let _ = self.transport.write(&last);
+            }
             self.transport.close();
         }
     }
 
-    /// At the end of the driver: a stage that nobody watches is told to stop.
+    /// At the end of the driver: a stage that nobody watches is told to stop, and so is one that has something left to be told.
     pub(crate) fn abandon(&self, moving: bool) {
-        if moving {
+        if moving || !lock(&self.at_close).is_empty() {
             self.close("the driver ended");
         } else {
             self.transport.close();
@@ -240,6 +247,11 @@ impl Exchange<'_> {
             self.session.transport.write(bytes)
         };
         written.map_err(|e| self.session.fail(&e))
+    }
+
+    /// What the device is told, after the stop, if the link is closed from now on: what it must not keep of ours.
+    pub(crate) fn at_close(&self, bytes: &[u8]) {
+        *lock(&self.session.at_close) = bytes.to_vec();
     }
 
     pub(crate) fn line_bytes(&mut self, deadline: Instant) -> Result<Vec<u8>, ScopeError> {

@@ -320,7 +320,7 @@ impl Emulated for Sanga {
     }
     fn serve() -> std::io::Result<SangaEmulator> {
         let mut board = EmulatedSanga::new();
-        board.steps_per_s = STEPS_PER_MM * MM_PER_S;
+        board.step_us = 1e6 / (STEPS_PER_MM * MM_PER_S);
         SangaEmulator::serve(board)
     }
     fn connect(emulator: &SangaEmulator) -> Result<Box<dyn Stage>, ScopeError> {

@@ -228,7 +228,8 @@ impl Driver {
         let stage = match hello.stage.as_ref().zip(on_stage.clone()) {
             Some((stage, remote)) => {
                 let info = stage.info().map_err(nonsense("stage"))?;
-                Some(Box::new(RemoteStage::new(remote, info, stage.homed)) as Box<dyn Stage>)
+                let stage = RemoteStage::new(remote, info, stage.homed, stage.speeds);
+                Some(Box::new(stage) as Box<dyn Stage>)
             }
             None => None,
         };

@@ -48,6 +48,14 @@ pub struct StageHello {
     /// Whether it knows where it is.
     #[serde(default = "yes")]
     pub homed: bool,
+    /// Whether a move may say how fast it goes.
+    #[serde(default, skip_serializing_if = "is_no")]
+    pub speeds: bool,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "as serde asks")]
+fn is_no(said: &bool) -> bool {
+    !said
 }
 
 fn yes() -> bool {
@@ -237,8 +245,9 @@ impl StageHello {
         })
     }
 
-    pub(crate) fn of(info: &StageInfo, homed: bool) -> Self {
+    pub(crate) fn of(info: &StageInfo, homed: bool, speeds: bool) -> Self {
         Self {
+            speeds,
             name: info.name.clone(),
             moves: match info.kinematics {
                 Kinematics::MovesMicroscope => Moves::Microscope,
@@ -404,10 +413,17 @@ mod tests {
         assert!(stage.homed);
         let info = stage.info().unwrap();
         assert!((info.axis(Axis::X).unwrap().max - 0.05).abs() < 1e-12);
-        assert_eq!(StageHello::of(&info, true).info().unwrap().axes.len(), 2);
+        assert_eq!(
+            StageHello::of(&info, true, false)
+                .info()
+                .unwrap()
+                .axes
+                .len(),
+            2
+        );
         let mut stated = info.clone();
         stated.axes[0].arrival_tolerance = Some(3e-6);
-        let back = StageHello::of(&stated, true).info().unwrap();
+        let back = StageHello::of(&stated, true, false).info().unwrap();
         assert!((back.axes[0].tolerance() - 3e-6).abs() < 1e-15);
         assert_eq!(back.axes[1].arrival_tolerance, None);
     }

@@ -27,7 +27,7 @@ pub use hello::{
     AxisHello, CameraHello, Hello, LightHello, Moves, NosepieceHello, ObjectiveHello, StageHello,
 };
 pub use listen::{bind, listen};
-pub use message::{Call, Code, PROTOCOL, Place};
+pub use message::{Call, Code, Go, PROTOCOL, Place};
 pub use patience::Patience;
 pub use secret::Secret;
 pub use server::{Offer, serve};

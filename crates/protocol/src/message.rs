@@ -64,6 +64,17 @@ impl From<Place> for StagePose {
     }
 }
 
+/// Goals of a move, and how fast it may go.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Go {
+    /// Where to.
+    #[serde(flatten)]
+    pub to: Place,
+    /// Along the way, where that is below the usual speed. Only a stage that knows speeds is sent it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed_um_per_s: Option<f64>,
+}
+
 /// What is asked.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "call", rename_all = "snake_case")]
@@ -81,7 +92,7 @@ pub enum Call {
     /// Where the stage is.
     Position,
     /// Go there.
-    Move(Place),
+    Move(Go),
     /// What the stage is doing.
     Motion,
     /// Find the reference.
@@ -170,8 +181,18 @@ mod tests {
         for (call, wire) in [
             (Call::Position, json!({"id": 7, "call": "position"})),
             (
-                Call::Move(place),
+                Call::Move(Go {
+                    to: place,
+                    speed_um_per_s: None,
+                }),
                 json!({"id": 7, "call": "move", "x_um": 300.5}),
+            ),
+            (
+                Call::Move(Go {
+                    to: place,
+                    speed_um_per_s: Some(860.0),
+                }),
+                json!({"id": 7, "call": "move", "x_um": 300.5, "speed_um_per_s": 860.0}),
             ),
             (
                 Call::Exposure { exposure_ms: None },

@@ -2,11 +2,11 @@
 
 use crate::hello::frame_bytes;
 use crate::link::{CallError, Link, Reply, Wait};
-use crate::message::{Call, Code, MotionReply, Place};
+use crate::message::{Call, Code, Go, MotionReply, Place};
 use crate::patience::{ANSWER, Patience};
 use scopeservo_scope::{
     Camera, CameraInfo, Clock, Frame, KnownBy, Light, Motion, Nosepiece, Objective, ObjectiveId,
-    Samples, ScopeError, Stage, StageInfo, StagePose, check_level,
+    Samples, ScopeError, Stage, StageInfo, StagePose, check_level, check_speed,
 };
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -104,6 +104,7 @@ impl Remote {
 pub(crate) struct RemoteStage {
     remote: Remote,
     info: StageInfo,
+    knows_speeds: bool,
     reference: Mutex<Reference>,
 }
 
@@ -116,7 +117,7 @@ enum Reference {
 }
 
 impl RemoteStage {
-    pub(crate) fn new(remote: Remote, info: StageInfo, homed: bool) -> Self {
+    pub(crate) fn new(remote: Remote, info: StageInfo, homed: bool, knows_speeds: bool) -> Self {
         let reference = match homed {
             true => Reference::Known,
             false => Reference::Unknown,
@@ -124,8 +125,15 @@ impl RemoteStage {
         Self {
             remote,
             info,
+            knows_speeds,
             reference: Mutex::new(reference),
         }
+    }
+
+    fn go(&self, to: &StagePose, speed_um_per_s: Option<f64>) -> Result<(), ScopeError> {
+        let to = Place::from(to);
+        let go = Go { to, speed_um_per_s };
+        self.remote.ask(Call::Move(go)).map(drop)
     }
 
     fn reference(&self) -> MutexGuard<'_, Reference> {
@@ -152,7 +160,22 @@ impl Stage for RemoteStage {
     }
 
     fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
-        self.remote.ask(Call::Move(Place::from(to))).map(drop)
+        self.go(to, None)
+    }
+
+    fn start_move_at(&self, to: &StagePose, m_per_s: f64) -> Result<(), ScopeError> {
+        check_speed(m_per_s)?;
+        if !self.knows_speeds {
+            return Err(ScopeError::Refused {
+                device: "stage",
+                detail: "its driver knows no speeds (\"speeds\" in its hello)".into(),
+            });
+        }
+        self.go(to, Some(m_per_s * 1e6))
+    }
+
+    fn knows_speeds(&self) -> bool {
+        self.knows_speeds
     }
 
     fn poll(&self) -> Result<Motion, ScopeError> {

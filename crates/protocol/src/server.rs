@@ -1,7 +1,7 @@
 //! Speaking for devices of ours.
 
 use crate::hello::{CameraHello, Hello, LightHello, NosepieceHello, StageHello};
-use crate::message::{Call, Code, PROTOCOL, Place, Request};
+use crate::message::{Call, Code, Go, PROTOCOL, Place, Request};
 use crate::secret::{Secret, nonce};
 use crate::wire::{self, Object, WireError};
 use scopeservo_scope::{
@@ -78,7 +78,9 @@ fn object(value: Value) -> Object {
 
 impl Offer {
     fn hello(&self) -> Result<Hello, ScopeError> {
-        let stage = |s: &dyn Stage| Ok::<_, ScopeError>(StageHello::of(s.info(), s.is_homed()?));
+        let stage = |s: &dyn Stage| {
+            Ok::<_, ScopeError>(StageHello::of(s.info(), s.is_homed()?, s.knows_speeds()))
+        };
         let devices = &self.devices;
         Ok(Hello {
             protocol: PROTOCOL,
@@ -114,8 +116,12 @@ impl Offer {
             Call::Hello { protocol, .. } if *protocol != PROTOCOL => return Err(other_version()),
             Call::Hello { .. } => json!(self.hello()?),
             Call::Position => json!(Place::from(&stage()?.position()?)),
-            Call::Move(place) => {
-                stage()?.start_move(&StagePose::from(*place))?;
+            Call::Move(Go { to, speed_um_per_s }) => {
+                let (stage, to) = (stage()?, StagePose::from(*to));
+                match speed_um_per_s {
+                    Some(speed) => stage.start_move_at(&to, speed * 1e-6)?,
+                    None => stage.start_move(&to)?,
+                }
                 json!({})
             }
             Call::Motion => json!({"motion": stage()?.poll()?}),

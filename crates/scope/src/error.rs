@@ -252,8 +252,8 @@ pub enum ScopeError {
     },
     /// The camera shows one image again and again, although the stage moved.
     #[error(
-        "the {device} shows the very same image again after the stage has moved: it has frozen. Look at its driver and its cable, and start it \
-         again"
+        "the {device} shows the very same image again and again: it has frozen, or its images have no noise and nothing in them moves with the stage. \
+         Look at its driver and its cable, and start it again; where it averages images or is dark, average fewer, or give it more light"
     )]
     Frozen {
         /// Which device.

@@ -55,7 +55,7 @@ pub use objective_id::ObjectiveId;
 pub use observe::{GateEvent, Observer};
 pub use pose::{Axis, StagePose};
 pub use rules::{AxisRange, ChangeRule, LargestStep, Limits, Rules, Workspace, Zone};
-pub use stage::{AxisInfo, Kinematics, Motion, PositiveZ, Stage, StageInfo};
+pub use stage::{AxisInfo, Kinematics, Motion, PositiveZ, Stage, StageInfo, check_speed};
 pub use still::stand_still;
 pub use units::{Angle, Length};
 pub use visible::visible;

@@ -201,12 +201,17 @@ pub trait Stage: Send + Sync {
     fn position(&self) -> Result<StagePose, ScopeError>;
     /// Starts a move of all given axes together and returns at once. Refused while another move runs.
     fn start_move(&self, to: &StagePose) -> Result<(), ScopeError>;
-    /// The same at a speed along the way, m/s, where it is below the usual one. A stage that has one speed refuses, and nothing moves.
+    /// The same at a speed along the way, m/s, where it is below the usual one, which is back for the next move. A stage that has one speed, or one
+    /// speed for such a move, refuses, and nothing moves.
     fn start_move_at(&self, _to: &StagePose, _m_per_s: f64) -> Result<(), ScopeError> {
         Err(ScopeError::Refused {
             device: "stage",
             detail: "its speed cannot be chosen".into(),
         })
+    }
+    /// Whether it knows speeds at all, so that it is worth asking [`Stage::start_move_at`].
+    fn knows_speeds(&self) -> bool {
+        false
     }
     /// What the stage is doing.
     fn poll(&self) -> Result<Motion, ScopeError>;
@@ -225,6 +230,19 @@ pub trait Stage: Send + Sync {
     }
 }
 
+/// Whether a stage can go so fast, m/s.
+///
+/// # Errors
+/// [`ScopeError::BadSetting`] unless it is a number above 0.
+pub fn check_speed(m_per_s: f64) -> Result<(), ScopeError> {
+    match m_per_s > 0.0 && m_per_s.is_finite() {
+        true => Ok(()),
+        false => Err(ScopeError::BadSetting {
+            what: format!("a speed is above 0; {m_per_s} m/s was asked for"),
+        }),
+    }
+}
+
 /// A stage that is kept in two places: by its gate, and by what turns a nosepiece on the same controller.
 impl<T: Stage + ?Sized> Stage for Arc<T> {
     fn info(&self) -> &StageInfo {
@@ -238,6 +256,9 @@ impl<T: Stage + ?Sized> Stage for Arc<T> {
     }
     fn start_move_at(&self, to: &StagePose, m_per_s: f64) -> Result<(), ScopeError> {
         (**self).start_move_at(to, m_per_s)
+    }
+    fn knows_speeds(&self) -> bool {
+        (**self).knows_speeds()
     }
     fn poll(&self) -> Result<Motion, ScopeError> {
         (**self).poll()

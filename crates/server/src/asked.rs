@@ -188,7 +188,7 @@ impl Wish {
             } => {
                 let input = FocusInput {
                     objective: named(bench, objective)?,
-                    focus: focusing(range_um)?,
+                    focus: focusing(bench, range_um)?,
                     ..FocusInput::default()
                 };
                 let inputs = json!(input);
@@ -289,8 +289,16 @@ fn centre(bench: &Workbench, share: [f64; 2]) -> Result<Wish, ApiError> {
     Ok(Wish::by_hand(Hand::Centre(pixels, Box::new(calibration))))
 }
 
-fn focusing(range_um: Option<f64>) -> Result<FocusOptions, ApiError> {
-    let usual = FocusOptions::default();
+/// How the focus is looked for where nothing else is asked, by the description.
+fn usual_focus(bench: &Workbench) -> FocusOptions {
+    FocusOptions {
+        sweep: bench.config.focus.sweep,
+        ..FocusOptions::default()
+    }
+}
+
+fn focusing(bench: &Workbench, range_um: Option<f64>) -> Result<FocusOptions, ApiError> {
+    let usual = usual_focus(bench);
     match range_um {
         None => Ok(usual),
         Some(um) if (1.0..=1e4).contains(&um) => Ok(FocusOptions {
@@ -309,6 +317,7 @@ fn calibrate(bench: &Workbench, objectives: Vec<String>) -> Result<Wish, ApiErro
     }
     let input = CalibrateInput {
         objectives,
+        focus: Some(usual_focus(bench)),
         ..CalibrateInput::default()
     };
     let inputs = json!(input);
@@ -335,11 +344,11 @@ fn save(
     label.slide.as_deref().map_or(Ok(()), check_slide)?;
     let input = SaveTargetInput {
         objective,
-        focus: focus.then(FocusOptions::default),
+        focus: focus.then(|| usual_focus(bench)),
+        focusing: usual_focus(bench),
         still: bench.config.target.still,
         known: bench.known_calibrations(|_| {}),
         vision: VisionOptions::default(),
-        ..SaveTargetInput::default()
     };
     let inputs = json!({"name": name, "slide": label.slide, "note": label.note, "input": input});
     Wish::job(Request::SaveTarget(input), Some(name), inputs)
@@ -366,6 +375,7 @@ fn reposition(bench: &Workbench, name: String) -> Result<Wish, ApiError> {
                 within_deg: bench.config.arrival.within_deg,
                 ..ServoOptions::default()
             },
+            focus: usual_focus(bench),
             ..RepositionOptions::default()
         },
         foreign_um_per_px,

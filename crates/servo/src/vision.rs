@@ -4,7 +4,7 @@ use crate::event::tell;
 use crate::{Event, FrameRole, ServoError, Sink};
 use scopeservo_features::{Engine, FeatureError, Features, GrayImage};
 use scopeservo_registration::{Prior, Registration, RotationPrior, ScalePrior, register};
-use scopeservo_scope::{FlatField, Frame, Instrument, ObjectiveId, ScopeError};
+use scopeservo_scope::{FlatField, Frame, Instrument, ObjectiveId};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::Duration;
@@ -95,21 +95,23 @@ pub(crate) fn grab(
     Ok(frame)
 }
 
-/// The same, and never the image that came before once more: it could not confirm that one. A camera that shows nothing new for so long is frozen.
+/// The same, and where it can be not the image that came before once more: it could not confirm that one. Also whether it is, as the camera shows nothing new
+/// for so long: it has frozen, or it has no noise, which the next move will show.
 pub(crate) fn grab_another(
     scope: &Instrument,
     sink: &mut dyn Sink,
     role: FrameRole,
     objective: &ObjectiveId,
-) -> Result<Arc<Frame>, ServoError> {
+) -> Result<(Arc<Frame>, bool), ServoError> {
     let begun = scope.clock().now();
     loop {
         let frame = grab(scope, sink, role, objective)?;
         if !scope.shows_again() {
-            return Ok(frame);
+            return Ok((frame, false));
         }
         if scope.clock().now().since(begun) > FROZEN {
-            return Err(ScopeError::Frozen { device: "camera" }.into());
+            scope.doubt_camera();
+            return Ok((frame, true));
         }
         scope.clock().sleep(POLL);
         scope.check_cancel()?;

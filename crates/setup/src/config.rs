@@ -52,6 +52,9 @@ pub struct Config {
     /// What is asked of an arrival.
     #[serde(default)]
     pub arrival: ArrivalConfig,
+    /// How the focus is looked for.
+    #[serde(default)]
+    pub focus: FocusConfig,
     /// Where calibrations and targets are kept, from the folder of this file on.
     #[serde(default = "data_folder")]
     pub data_folder: PathBuf,
@@ -215,6 +218,15 @@ pub struct ArrivalConfig {
     pub within_um: Option<f64>,
     /// Angle, also of what a stage cannot turn. 0.01 deg when left out; of a stage that cannot turn, while the middle half of the target is in view.
     pub within_deg: Option<f64>,
+}
+
+/// How the focus is looked for.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FocusConfig {
+    /// The coarse scan is one slow motion, where that is expected to save time and the stage's speed can be chosen.
+    #[serde(default)]
+    pub sweep: bool,
 }
 
 impl Config {

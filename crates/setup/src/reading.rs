@@ -177,6 +177,13 @@ mod tests {
             asked.contains("arrival.within_deg is 0: it must be above 0"),
             "{asked}"
         );
+        let sweep = said(&format!("{TWIN_TEMPLATE}\n[focus]\nsweep = \"slow\"\n"));
+        assert!(
+            sweep.contains("lab/scopeservo.toml:") && sweep.contains("invalid type"),
+            "{sweep}"
+        );
+        let other = said(&format!("{TWIN_TEMPLATE}\n[focus]\nsweeps = true\n"));
+        assert!(other.contains("did you mean 'sweep'?"), "{other}");
         let margin = wrong("margin_um = 0", "");
         assert!(
             margin.contains("margin_um belongs to retract_z_um"),
@@ -193,5 +200,19 @@ mod tests {
         let none = wrong("nosepiece = \"twin\"", "nosepiece = \"none\"");
         assert!(none.contains("exactly one objective"), "{none}");
         assert!(said("").contains("missing field `name`"));
+    }
+
+    #[test]
+    fn a_sweep_is_asked_for_in_the_description_or_not() {
+        for (said, sweep) in [
+            ("", false),
+            ("\n[focus]\n", false),
+            ("\n[focus]\nsweep = false\n", false),
+            ("\n[focus]\nsweep = true\n", true),
+        ] {
+            let text = format!("{TWIN_TEMPLATE}{said}");
+            let config = Config::parse(&text, Path::new("x.toml")).unwrap();
+            assert_eq!(config.focus.sweep, sweep, "{said}");
+        }
     }
 }

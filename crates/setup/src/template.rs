@@ -107,6 +107,11 @@ nosepiece = "main"                # a driver, or "by-hand" (you are asked to tur
 # within_um = 1.5
 # within_deg = 5                  # also of what the stage cannot turn
 
+# The focus is looked for in one slow motion first, where that is expected to save time and the stage's speed can be chosen. On the command line:
+# --sweep. It saves little, and is somewhat less often within a quarter of the depth of field.
+# [focus]
+# sweep = true
+
 # Reports of the oldest runs go when all of them take more than this, 10^9 bytes; what happened in them never goes.
 # [library]
 # frames_gb = 20

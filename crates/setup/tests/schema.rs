@@ -53,6 +53,7 @@ fn the_schema_has_the_keys_of_the_program_table_by_table() {
         ("[light]", "/properties/light".into()),
         ("[target]", "/properties/target".into()),
         ("[arrival]", "/properties/arrival".into()),
+        ("[focus]", "/properties/focus".into()),
         ("[drivers.a]", driver.into()),
         ("[drivers.a.twin]", own("twin")),
         ("[drivers.a.twin.camera]", own("twin/properties/camera")),

@@ -3,7 +3,7 @@
 use crate::inner::Inner;
 use scopeservo_scope::{
     Light, Motion, Nosepiece, Objective, ObjectiveId, ScopeError, Stage, StageInfo, StagePose,
-    check_level,
+    check_level, check_speed,
 };
 use std::sync::Arc;
 
@@ -22,14 +22,13 @@ impl Stage for TwinStage {
         self.0.plugged("stage")?.stage.start_move(to, now)
     }
     fn start_move_at(&self, to: &StagePose, m_per_s: f64) -> Result<(), ScopeError> {
-        if !(m_per_s > 0.0 && m_per_s.is_finite()) {
-            return Err(ScopeError::BadSetting {
-                what: format!("a speed is above 0; {m_per_s} m/s was asked for"),
-            });
-        }
+        check_speed(m_per_s)?;
         let now = self.0.now();
         let mut state = self.0.plugged("stage")?;
         state.stage.start_move_at(to, m_per_s, now)
+    }
+    fn knows_speeds(&self) -> bool {
+        true
     }
     fn poll(&self) -> Result<Motion, ScopeError> {
         let now = self.0.now();

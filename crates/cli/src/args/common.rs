@@ -78,7 +78,8 @@ pub(crate) struct FocusingArgs {
     /// How sharpness is measured. With a noisy camera the paper's measure is mostly noise.
     #[arg(long, value_enum, default_value = "laplacian")]
     measure: MeasureArg,
-    /// Look for the focus in one slow motion first, where that is expected to save time. Needs a stage whose speed can be chosen.
+    /// Look for the focus in one slow motion first, where that is expected to save time. Needs a stage whose speed can be chosen. `[focus]` in the
+    /// description says the same for every command.
     #[arg(long)]
     sweep: bool,
 }

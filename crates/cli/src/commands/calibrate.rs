@@ -33,6 +33,7 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
     try_out(&args.report.out)?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
+    let focus = opened.focusing(focus);
     let named = args.objective.iter().cloned().map(ObjectiveId);
     let objectives: Vec<ObjectiveId> = named.collect();
     let wanted = |o: &&Objective| objectives.is_empty() || objectives.contains(&o.id);

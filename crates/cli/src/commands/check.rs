@@ -18,6 +18,7 @@ pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError>
     let focus = args.focusing.options()?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
+    let focus = opened.focusing(focus);
     let named: Vec<ObjectiveId> = args.objective.iter().cloned().map(ObjectiveId).collect();
     let wanted = |id: &ObjectiveId| named.is_empty() || named.contains(id);
     let mut is_damaged = false;

@@ -21,6 +21,7 @@ pub(crate) fn focus(args: &FocusArgs, answer: &Answer) -> Result<bool, CliError>
     }
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
+    let focus = opened.focusing(focus);
     let input = FocusInput {
         objective: args.objective.clone().map(ObjectiveId),
         near_z_um: args.near_z_um,

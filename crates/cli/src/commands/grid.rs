@@ -26,6 +26,7 @@ pub(crate) fn grid(args: &GridArgs, answer: &Answer) -> Result<bool, CliError> {
     }
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
+    let focus = opened.focusing(focus);
     let input = GridInput {
         objective: args.objective.clone().map(ObjectiveId),
         focus: (!args.no_focus).then_some(focus),

@@ -23,6 +23,7 @@ pub(crate) fn level(args: &LevelArgs, answer: &Answer) -> Result<bool, CliError>
     }
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
+    let focus = opened.focusing(focus);
     let input = LevelInput {
         objective: args.objective.clone().map(ObjectiveId),
         focus: (!args.no_focus).then(|| focus.clone()),

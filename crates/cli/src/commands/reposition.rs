@@ -6,7 +6,7 @@ use crate::answer::Answer;
 use crate::args::RepositionArgs;
 use crate::colour;
 use crate::error::{CliError, Code};
-use crate::open_instrument::{OpenInstrument, Ran};
+use crate::open_instrument::{OpenInstrument, Ran, focusing};
 use crate::output;
 use crate::progress::Watcher;
 use crate::views::{keep_report, try_out};
@@ -28,6 +28,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
     let focus = args.focusing.options()?;
     // What can be wrong without the instrument is found before it is touched.
     let config = Config::read(&args.instrument.description.config)?;
+    let focus = focusing(&config, focus);
     let servo = ServoOptions {
         within_um: asked.within_um.or(config.arrival.within_um),
         within_deg: asked.within_deg.or(config.arrival.within_deg),

@@ -21,6 +21,7 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
     args.slide.as_deref().map_or(Ok(()), check_slide)?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
+    let focusing = opened.focusing(focusing);
     let input = SaveTargetInput {
         objective: args.objective.clone().map(ObjectiveId),
         focus: args.focus.then(|| focusing.clone()),

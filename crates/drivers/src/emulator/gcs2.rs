@@ -1,5 +1,6 @@
 //! An emulated PI hexapod, or a stage of axes of their own, on a controller with GCS 2.
 
+mod units;
 use super::server::{Device, Server};
 use std::time::{Duration, Instant};
 

@@ -6,8 +6,12 @@ use std::time::{Duration, Instant};
 /// What is emulated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EmulatedSanga {
-    /// Steps a second.
-    pub steps_per_s: f64,
+    /// The least time of a step, us, which it keeps.
+    pub step_us: f64,
+    /// Whether it knows that time.
+    pub knows_step_time: bool,
+    /// Whether another step time counts for the move under way as well.
+    pub changes_under_way: bool,
     /// Where it stands at the start.
     pub at_steps: [i32; 3],
     /// Whether the firmware knows stops and moves that do not block.
@@ -22,7 +26,9 @@ impl EmulatedSanga {
     /// A board with new firmware and 4000 steps a second.
     pub fn new() -> Self {
         Self {
-            steps_per_s: 4000.0,
+            step_us: 250.0,
+            knows_step_time: true,
+            changes_under_way: false,
             at_steps: [0; 3],
             knows_stop: true,
             blocks: true,
@@ -118,6 +124,10 @@ impl Sanga {
         })
     }
 
+    fn time_of(&self, steps: i32) -> Duration {
+        Duration::from_secs_f64(1e-6 * f64::from(steps.abs()) * self.board.step_us.max(0.0))
+    }
+
     fn stand(&mut self) {
         let place = self.place();
         (self.from, self.goal, self.takes) = (place, place, Duration::ZERO);
@@ -142,8 +152,23 @@ impl Sanga {
                 self.from = self.place();
                 self.goal = [0, 1, 2].map(|i| self.from[i] + by[i]);
                 let most = by.iter().map(|b| b.abs()).max().unwrap_or(0);
-                self.takes = Duration::from_secs_f64(f64::from(most) / self.board.steps_per_s);
+                self.takes = self.time_of(most);
                 self.began = Instant::now();
+                "done.".into()
+            }
+            ["dt?"] if self.board.knows_step_time => {
+                format!("minimum step delay {:.0}", self.board.step_us)
+            }
+            ["dt", us] if self.board.knows_step_time => {
+                self.board.step_us = us.parse().unwrap_or(0.0);
+                if self.board.changes_under_way && self.moves() {
+                    let goal = self.goal;
+                    self.stand();
+                    self.goal = goal;
+                    let way = [0, 1, 2].map(|i| (goal[i] - self.from[i]).abs());
+                    self.takes = self.time_of(way.into_iter().max().unwrap_or(0));
+                    self.began = Instant::now();
+                }
                 "done.".into()
             }
             ["blocking_moves?"] if new => format!("blocking_moves {}", self.board.blocks),

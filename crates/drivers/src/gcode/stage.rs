@@ -4,7 +4,7 @@ use crate::gcode::settings::{GcodeSettings, Motor};
 use crate::gcode::talk::{Talk, steps_of};
 use crate::session::{Exchange, Session, device, lock};
 use crate::turret::Part;
-use scopeservo_scope::{Motion, ScopeError, Stage, StageInfo, StagePose};
+use scopeservo_scope::{Motion, ScopeError, Stage, StageInfo, StagePose, check_speed};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
@@ -105,14 +105,14 @@ impl Stage for GcodeStage {
     }
 
     fn start_move_at(&self, to: &StagePose, m_per_s: f64) -> Result<(), ScopeError> {
-        if !(m_per_s > 0.0 && m_per_s.is_finite()) {
-            return Err(ScopeError::BadSetting {
-                what: format!("a speed is above 0; {m_per_s} m/s was asked for"),
-            });
-        }
+        check_speed(m_per_s)?;
         let targets = self.targets(to)?;
         let feed = self.feed_mm_per_min.min(m_per_s * 60e3);
         self.start(Part::Stage, &targets, feed)
+    }
+
+    fn knows_speeds(&self) -> bool {
+        true
     }
 
     fn poll(&self) -> Result<Motion, ScopeError> {

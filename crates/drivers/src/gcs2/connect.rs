@@ -47,8 +47,9 @@ impl Gcs2Stage {
         check_there(names.iter().chain(&nosepiece), &there)?;
         // What was wrong before is not about us.
         error_number(&mut ex)?;
-        for (plan, unit) in plans.iter_mut().zip(units(&mut ex, &names)?) {
-            plan.unit = of_axis(&plan.name, plan.axis.is_rotation(), unit)?;
+        let units_said = units(&mut ex, &names)?;
+        for (plan, unit) in plans.iter_mut().zip(&units_said) {
+            plan.unit = of_axis(&plan.name, plan.axis.is_rotation(), unit.clone())?;
         }
         let axes = travels(&mut ex, &plans, &names)?;
         let knows_reference = ask_if_known(&mut ex, &Command::Referenced(&names))?.is_some();
@@ -68,13 +69,42 @@ impl Gcs2Stage {
             },
             plans,
             names,
+            units_said,
             coupled: settings.coupled,
             stop_timeout: settings.stop_timeout(),
             settle_timeout: settings.settle_timeout(),
             doing: Mutex::new(Doing::Nothing),
+            velocity_owed: Mutex::new(None),
             homed: Mutex::new(false),
             knows_reference,
         })
+    }
+}
+
+impl Gcs2Stage {
+    /// Whether the controller still counts its axes in what it said when it was taken over: a place that is wrong by a thousand may lie within the travel.
+    ///
+    /// # Errors
+    /// [`ScopeError::Device`] where somebody has changed that, and those of the link.
+    pub(super) fn check_units(&self, ex: &mut Exchange<'_>) -> Result<(), ScopeError> {
+        if self.units_said.iter().all(String::is_empty) {
+            return Ok(());
+        }
+        let now = units(ex, &self.names)?;
+        let changed = self.names.iter().zip(self.units_said.iter().zip(&now));
+        let changed: Vec<String> = changed
+            .filter(|(_, (then, now))| then != now)
+            .map(|(name, (then, now))| {
+                format!("{name} in {}, and then in {}", visible(now), visible(then))
+            })
+            .collect();
+        match changed.is_empty() {
+            true => Ok(()),
+            false => Err(device(format!(
+                "it counts otherwise than when it was connected (PUN?): {}. Nothing moved. Close what else drives it, and connect again",
+                changed.join("; ")
+            ))),
+        }
     }
 }
 

@@ -9,6 +9,7 @@ mod motion;
 mod nosepiece;
 mod parameters;
 mod settings;
+mod speed;
 mod stage;
 mod talk;
 mod unit;

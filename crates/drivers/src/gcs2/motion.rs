@@ -54,7 +54,10 @@ impl Gcs2Stage {
         }
         let (ended, outcome) = match doing {
             Doing::Nothing => return Ok(Motion::Settled),
-            Doing::Stopped => return Ok(Motion::Stopped),
+            Doing::Stopped => {
+                self.put_velocity_back(ex)?;
+                return Ok(Motion::Stopped);
+            }
             Doing::Homing(part) => (true, self.referenced(ex, part)?),
             Doing::Moving {
                 part,
@@ -81,6 +84,7 @@ impl Gcs2Stage {
             (Doing::Stopped, Motion::Stopped)
         };
         *lock(&self.doing) = next;
+        self.put_velocity_back(ex)?;
         Ok(motion)
     }
 
@@ -100,8 +104,13 @@ impl Gcs2Stage {
         Ok(targets)
     }
 
-    /// Starts a move of axes of one part.
-    pub(super) fn start(&self, part: Part, goal: Vec<Goal>) -> Result<(), ScopeError> {
+    /// Starts a move of axes of one part, at a speed of its own, m/s, where one is given.
+    pub(super) fn start(
+        &self,
+        part: Part,
+        goal: Vec<Goal>,
+        m_per_s: Option<f64>,
+    ) -> Result<(), ScopeError> {
         let stops = self.session.stops();
         let mut ex = self.session.exchange()?;
         if self.poll_in(&mut ex)? == Motion::Moving {
@@ -112,6 +121,9 @@ impl Gcs2Stage {
         }
         if goal.is_empty() {
             return Ok(());
+        }
+        if part == Part::Stage {
+            self.check_units(&mut ex)?;
         }
         let targets: Vec<_> = goal.iter().map(|g| (g.name.clone(), g.to)).collect();
         if self.coupled && part == Part::Stage {
@@ -124,14 +136,32 @@ impl Gcs2Stage {
             }
         }
         let bytes = read(&ex, Command::Move(&targets).encode())?;
-        ex.send_unless_stopped(&bytes, stops)?;
+        let slowed = m_per_s.map_or(Ok(()), |v| self.slow_down(&mut ex, &goal, v));
+        let begun = slowed.and_then(|()| self.begin(&mut ex, part, goal, &bytes, stops));
+        if begun.is_err() {
+            // Why it did not begin is the news.
+            let _ = self.put_velocity_back(&mut ex);
+        }
+        begun
+    }
+
+    /// Sends a move, and asks how the controller took it.
+    fn begin(
+        &self,
+        ex: &mut Exchange<'_>,
+        part: Part,
+        goal: Vec<Goal>,
+        bytes: &[u8],
+        stops: u64,
+    ) -> Result<(), ScopeError> {
+        ex.send_unless_stopped(bytes, stops)?;
         // Moving from here on, should the next answer not come.
         *lock(&self.doing) = Doing::Moving {
             part,
             goal,
             still_since: None,
         };
-        let number = error_number(&mut ex)?;
+        let number = error_number(ex)?;
         if number == STOPPED_BY_COMMAND {
             // It may speak of a stop before the move.
             *lock(&self.doing) = Doing::Stopped;

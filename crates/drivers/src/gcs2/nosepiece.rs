@@ -48,7 +48,7 @@ impl Turns for Gcs2Stage {
             to: wire(to_deg),
             tolerance: wire(nosepiece.settings.arrival_tolerance_deg),
         };
-        self.start(Part::Nosepiece, vec![goal])
+        self.start(Part::Nosepiece, vec![goal], None)
     }
 
     fn poll_turn(&self) -> Result<Motion, ScopeError> {

@@ -6,7 +6,7 @@ use crate::gcs2::talk::{STOPPED_BY_COMMAND, error_number, not_homed, read, value
 use crate::gcs2::unit::Unit;
 use crate::session::{Exchange, Session, device, lock};
 use crate::turret::Part;
-use scopeservo_scope::{Axis, Motion, ScopeError, Stage, StageInfo, StagePose};
+use scopeservo_scope::{Axis, Motion, ScopeError, Stage, StageInfo, StagePose, check_speed};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
@@ -47,11 +47,15 @@ pub struct Gcs2Stage {
     pub(super) info: StageInfo,
     pub(super) plans: Vec<AxisPlan>,
     pub(super) names: Vec<AxisName>,
+    /// What the controller said that it counts them in; empty words where it does not say.
+    pub(super) units_said: Vec<String>,
     pub(super) nosepiece: Option<Nosepiece>,
     pub(super) coupled: bool,
     pub(super) stop_timeout: Duration,
     pub(super) settle_timeout: Duration,
     pub(super) doing: Mutex<Doing>,
+    /// The line that puts a velocity back which a slow move has changed.
+    pub(super) velocity_owed: Mutex<Option<Vec<u8>>>,
     /// Whether the controller has said that it knows where its axes are.
     pub(super) homed: Mutex<bool>,
     /// Whether it knows of reference moves. One that does not has axes that always know where they are.
@@ -117,7 +121,16 @@ impl Stage for Gcs2Stage {
     }
 
     fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
-        self.start(Part::Stage, self.targets(to)?)
+        self.start(Part::Stage, self.targets(to)?, None)
+    }
+
+    fn start_move_at(&self, to: &StagePose, m_per_s: f64) -> Result<(), ScopeError> {
+        check_speed(m_per_s)?;
+        self.start(Part::Stage, self.targets(to)?, Some(m_per_s))
+    }
+
+    fn knows_speeds(&self) -> bool {
+        true
     }
 
     fn poll(&self) -> Result<Motion, ScopeError> {
@@ -139,6 +152,7 @@ impl Stage for Gcs2Stage {
         }
         let number = error_number(&mut ex)?;
         self.mark_stopped();
+        self.put_velocity_back(&mut ex)?;
         match number {
             0 | STOPPED_BY_COMMAND => Ok(()),
             other => Err(device(codec::error_in_words(other))),

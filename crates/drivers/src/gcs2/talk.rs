@@ -104,6 +104,39 @@ pub(super) fn ask_if_known(
     }
 }
 
+/// A question that not every controller knows and whose answer is one number, which is given with its digits; `None` where the controller does not
+/// know it.
+pub(super) fn number_if_known(
+    ex: &mut Exchange<'_>,
+    command: &Command<'_>,
+) -> Result<Option<(f64, String)>, ScopeError> {
+    let both = [command, &Command::Error].map(Command::encode);
+    let mut bytes = Vec::new();
+    for part in both {
+        bytes.extend(read(ex, part)?);
+    }
+    ex.send(&bytes)?;
+    let deadline = ex.deadline();
+    let said = ex.line(deadline)?.trim().to_string();
+    // The number of an error alone, or a number and then that of an error: a velocity may be whole, too.
+    let error = match said.parse::<i32>() {
+        Ok(_) => ex.line_if_any(deadline)?,
+        Err(_) => Some(ex.line(deadline)?),
+    };
+    complete(ex, command)?;
+    let Some(error) = error else {
+        return Ok(None);
+    };
+    let value = read(
+        ex,
+        codec::decode_number(command.name(), std::slice::from_ref(&said)),
+    )?;
+    match read(ex, codec::decode_error(&[error]))? {
+        0 | STOPPED_BY_COMMAND => Ok(Some((value, said))),
+        number => Err(device(codec::error_in_words(number))),
+    }
+}
+
 fn not_endless(ex: &Exchange<'_>, command: &Command<'_>, lines: usize) -> Result<(), ScopeError> {
     if lines < codec::MAX_LINES {
         return Ok(());

@@ -43,6 +43,10 @@ pub enum Command {
     MoveBy([i64; 3]),
     /// Whether it moves.
     IsMoving,
+    /// How long a step takes at the least.
+    StepTime,
+    /// Steps take so long at the least, us, in moves that begin from now on, and after the next start.
+    SetStepTime(i64),
     /// Takes the current off the motors. They may then jump by some steps.
     Release,
 }
@@ -57,6 +61,8 @@ impl Command {
             Self::Position => "p?",
             Self::MoveBy(_) => "mr",
             Self::IsMoving => "moving?",
+            Self::StepTime => "dt?",
+            Self::SetStepTime(_) => "dt",
             Self::Release => "release",
         }
     }
@@ -66,8 +72,10 @@ impl Command {
     /// # Errors
     /// [`CodecError::TooFar`].
     pub fn encode(self) -> Result<Vec<u8>, CodecError> {
-        let Self::MoveBy(steps) = self else {
-            return Ok(format!("{}\n", self.name()).into_bytes());
+        let steps = match self {
+            Self::MoveBy(steps) => steps,
+            Self::SetStepTime(us) => return Ok(format!("dt {us}\n").into_bytes()),
+            _ => return Ok(format!("{}\n", self.name()).into_bytes()),
         };
         if let Some(far) = steps
             .into_iter()
@@ -139,6 +147,13 @@ pub fn decode_moving(line: &str) -> Result<bool, CodecError> {
     }
 }
 
+/// How long a step takes at the least, us; `None` when the firmware does not know the question.
+pub fn decode_step_time(line: &str) -> Option<i64> {
+    let us = line.trim().strip_prefix("minimum step delay ")?;
+    let us: i32 = us.trim().parse().ok()?;
+    (us > 0).then_some(i64::from(us))
+}
+
 /// "done", with or without a full stop.
 ///
 /// # Errors
@@ -177,6 +192,8 @@ mod tests {
             (Command::Position, "p?\n"),
             (Command::MoveBy([100, -20, 0]), "mr 100 -20 0\n"),
             (Command::IsMoving, "moving?\n"),
+            (Command::StepTime, "dt?\n"),
+            (Command::SetStepTime(1250), "dt 1250\n"),
             (Command::Release, "release\n"),
         ] {
             assert_eq!(command.encode().unwrap(), line.as_bytes());
@@ -197,6 +214,7 @@ mod tests {
         assert_eq!(decode_position("12000 -350 0"), Ok([12000, -350, 0]));
         assert_eq!(decode_moving("true"), Ok(true));
         assert_eq!(decode_moving("false"), Ok(false));
+        assert_eq!(decode_step_time("minimum step delay 1000"), Some(1000));
         assert!(decode_done(Command::Release, "done").is_ok());
         assert!(decode_done(Command::DoNotBlock, "done.").is_ok());
         assert!(decode_stopped("Move aborted").is_ok());
@@ -211,6 +229,15 @@ mod tests {
         assert_eq!(decode_blocking("blocking_moves maybe"), None);
         for wrong in ["", "1 2", "1 2 3 4", "1 2 x", "1.0 2 3", "99999999999 0 0"] {
             assert!(decode_position(wrong).is_err(), "{wrong:?}");
+        }
+        for wrong in [
+            help,
+            "",
+            "minimum step delay",
+            "1000",
+            "minimum step delay -1",
+        ] {
+            assert_eq!(decode_step_time(wrong), None, "{wrong:?}");
         }
         assert!(decode_moving("1").is_err());
         assert!(decode_done(Command::Release, help).is_err());

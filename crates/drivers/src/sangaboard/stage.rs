@@ -4,13 +4,16 @@ use crate::board::Board;
 use crate::link::Transport;
 use crate::sangaboard::codec::{self, CodecError, Command};
 use crate::sangaboard::settings::{SangaAxis, SangaSettings};
-use crate::session::{Exchange, Session, bad_setting, device, lock};
-use scopeservo_scope::{Axis, Motion, ScopeError, Stage, StageInfo, StagePose};
+use crate::session::{Exchange, Session, bad_setting, device, lock, refused};
+use scopeservo_scope::{Axis, Motion, ScopeError, Stage, StageInfo, StagePose, check_speed};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 /// How often the motors are asked whether they stand still after a stop.
 const STOP_POLL: Duration = Duration::from_millis(2);
+
+/// The longest step time that the board is told, us.
+const SLOWEST_US: f64 = 1e6;
 
 /// What the driver has asked of the stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -115,6 +118,83 @@ impl SangaStage {
         })
     }
 
+    fn start(&self, to: &StagePose, m_per_s: Option<f64>) -> Result<(), ScopeError> {
+        let stops = self.session.stops();
+        let targets = self.targets(to)?;
+        let mut ex = self.session.exchange()?;
+        if self.poll_in(&mut ex)? == Motion::Moving {
+            return Err(ScopeError::Busy { device: "stage" });
+        }
+        if targets == [None; 3] {
+            return Ok(());
+        }
+        let at = steps(&mut ex)?;
+        let goal = [0, 1, 2].map(|i| targets[i].unwrap_or(at[i]));
+        let command = Command::MoveBy([0, 1, 2].map(|i| goal[i] - at[i]));
+        let bytes = command.encode().map_err(|e| bad_setting(e.to_string()))?;
+        let usual = match m_per_s {
+            Some(m_per_s) => self.slow_down(&mut ex, &targets, m_per_s)?,
+            None => None,
+        };
+        let begun = self.begin(&mut ex, command, &bytes, goal, stops);
+        // A move keeps the step time that it began with, and the board keeps what it is told beyond its next start: the usual one is back at once.
+        let put_back = usual.map_or(Ok(()), |us| {
+            done(&mut ex, Command::SetStepTime(us))?;
+            ex.at_close(&[]);
+            Ok(())
+        });
+        begun.and(put_back)
+    }
+
+    fn begin(
+        &self,
+        ex: &mut Exchange<'_>,
+        command: Command,
+        bytes: &[u8],
+        goal: [i64; 3],
+        stops: u64,
+    ) -> Result<(), ScopeError> {
+        ex.send_unless_stopped(bytes, stops)?;
+        // Moving from here on, should the answer not come.
+        *lock(&self.doing) = Doing::Moving(goal);
+        let line = answer(ex)?;
+        read(ex, codec::decode_done(command, &line))
+    }
+
+    /// Sets the step time for a move of one motor, where that is slower than the usual one, and says what that is then, us.
+    fn slow_down(
+        &self,
+        ex: &mut Exchange<'_>,
+        targets: &[Option<i64>; 3],
+        m_per_s: f64,
+    ) -> Result<Option<i64>, ScopeError> {
+        let moved = self.motors.iter().zip(targets);
+        let mut moved = moved.filter_map(|((_, motor), to)| to.and(motor.as_ref()));
+        let (Some(motor), None) = (moved.next(), moved.next()) else {
+            return Err(refused(
+                "its speed can be chosen for moves of one axis; nothing moved",
+            ));
+        };
+        let line = ask(ex, Command::StepTime)?;
+        let usual = codec::decode_step_time(&line).ok_or_else(|| {
+            refused("the firmware does not tell its step time (dt?), so that no speed is set; nothing moved")
+        })?;
+        // Rounded up, so that it goes no faster than asked.
+        let wanted = (1e6 * motor.si(1).abs() / m_per_s).ceil();
+        if wanted > SLOWEST_US {
+            return Err(refused(format!(
+                "a step would take {wanted} us, more than {SLOWEST_US}; nothing moved"
+            )));
+        }
+        let wanted = wanted as i64;
+        if wanted <= usual {
+            return Ok(None);
+        }
+        ex.at_close(&read(ex, Command::SetStepTime(usual).encode())?);
+        done(ex, Command::SetStepTime(wanted))?;
+        Ok(Some(usual))
+    }
+
     /// The steps to be at, or `None` for a motor that is to stay.
     fn targets(&self, to: &StagePose) -> Result<[Option<i64>; 3], ScopeError> {
         self.info.check_goal(to)?;
@@ -148,24 +228,16 @@ impl Stage for SangaStage {
     }
 
     fn start_move(&self, to: &StagePose) -> Result<(), ScopeError> {
-        let stops = self.session.stops();
-        let targets = self.targets(to)?;
-        let mut ex = self.session.exchange()?;
-        if self.poll_in(&mut ex)? == Motion::Moving {
-            return Err(ScopeError::Busy { device: "stage" });
-        }
-        if targets == [None; 3] {
-            return Ok(());
-        }
-        let at = steps(&mut ex)?;
-        let goal = [0, 1, 2].map(|i| targets[i].unwrap_or(at[i]));
-        let command = Command::MoveBy([0, 1, 2].map(|i| goal[i] - at[i]));
-        let bytes = command.encode().map_err(|e| bad_setting(e.to_string()))?;
-        ex.send_unless_stopped(&bytes, stops)?;
-        // Moving from here on, should the answer not come.
-        *lock(&self.doing) = Doing::Moving(goal);
-        let line = answer(&mut ex)?;
-        read(&ex, codec::decode_done(command, &line))
+        self.start(to, None)
+    }
+
+    fn start_move_at(&self, to: &StagePose, m_per_s: f64) -> Result<(), ScopeError> {
+        check_speed(m_per_s)?;
+        self.start(to, Some(m_per_s))
+    }
+
+    fn knows_speeds(&self) -> bool {
+        true
     }
 
     fn poll(&self) -> Result<Motion, ScopeError> {

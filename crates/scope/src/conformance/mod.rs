@@ -16,7 +16,7 @@ pub use camera::{check_camera, check_frames};
 pub use check::Check;
 pub use nosepiece::check_nosepiece;
 pub use replug::check_replug;
-pub use stage::check_stage;
+pub use stage::{check_speed, check_stage};
 pub use together::check_together;
 
 use crate::Instrument;

@@ -2,13 +2,16 @@
 
 use super::check::{Check, ensure, run, run_and_return, said};
 use super::trial::{LONG_M, long_axis, towards_room, trial, tried_places};
-use crate::{Axis, Instrument, Motion, MotionGate, ScopeError, StagePose};
+use crate::{Axis, ErrorKind, Instrument, Motion, MotionGate, ScopeError, StagePose};
 use std::time::Duration;
 
 /// A stage that goes on is seen after this time.
 const STAYS: Duration = Duration::from_secs(1);
 
-/// Stage checks: read-back, limits, missing axes, numbers that are none, stop, refusal while moving, many threads.
+/// A move that is asked to be slow should take so long, s.
+const IN_S: f64 = 0.5;
+
+/// Stage checks: read-back, limits, missing axes, numbers that are none, stop, refusal while moving, speeds, many threads.
 pub fn check_stage(scope: &Instrument) -> Vec<Check> {
     let stage = scope.gate();
     vec![
@@ -28,8 +31,15 @@ pub fn check_stage(scope: &Instrument) -> Vec<Check> {
         run_and_return(scope, "a second move while moving is refused", || {
             second_move(stage)
         }),
+        check_speed(scope),
         run("eight threads may ask at once", || many_threads(stage)),
     ]
+}
+
+/// Whether a stage that knows speeds keeps one.
+pub fn check_speed(scope: &Instrument) -> Check {
+    let name = "a move is no faster than it was asked to be, where speeds are known";
+    run_and_return(scope, name, || keeps_its_speed(scope))
 }
 
 fn every_axis(scope: &Instrument) -> Result<(), String> {
@@ -169,6 +179,32 @@ fn second_move(stage: &MotionGate) -> Result<(), String> {
     ensure(matches!(second, Err(ScopeError::Busy { .. })), || {
         format!("it answered {second:?}")
     })
+}
+
+/// A short move that is asked to take half a second does not take much less; a stage that refuses has one speed.
+fn keeps_its_speed(scope: &Instrument) -> Result<(), String> {
+    let stage = scope.gate();
+    let z = stage.info().axis(Axis::Z).map(|z| z.axis);
+    let Some(axis) = z.or(long_axis(stage).ok()).filter(|_| stage.knows_speeds()) else {
+        return Ok(());
+    };
+    let (here, there) = towards_room(stage, axis, trial(axis))?;
+    let m_per_s = (there - here).abs() / IN_S;
+    let to = StagePose::default().with_si(axis, there);
+    let began = scope.clock().now().seconds();
+    let ended = scope.move_looking(&to, m_per_s, || Ok::<(), ScopeError>(()));
+    let took = scope.clock().now().seconds() - began;
+    match ended {
+        Err(error) if error.kind() == ErrorKind::Refused => Ok(()),
+        Err(error) => Err(said(error)),
+        Ok(_) => ensure(took >= 0.8 * IN_S, || {
+            format!(
+                "{axis} was asked to go {:.0} um at {:.0} um/s and took {took:.2} s: it does not keep the speed that it says it knows",
+                (there - here).abs() * 1e6,
+                m_per_s * 1e6
+            )
+        }),
+    }
 }
 
 fn many_threads(stage: &MotionGate) -> Result<(), String> {

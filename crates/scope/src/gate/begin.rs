@@ -24,6 +24,11 @@ impl MotionGate {
         self.start(to, |stage| stage.start_move_at(to, m_per_s))
     }
 
+    /// As [`Stage::knows_speeds`].
+    pub fn knows_speeds(&self) -> bool {
+        self.stage.knows_speeds()
+    }
+
     fn start(
         &self,
         to: &StagePose,

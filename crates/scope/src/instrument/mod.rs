@@ -132,6 +132,13 @@ impl Instrument {
         shown.1.again()
     }
 
+    /// [`Instrument::shows_again`] has been so for long, which a camera that froze and one that has lost its noise do alike: a move will tell. What
+    /// shows another image after it lives, and its images at rest may be the same until two differ; what shows the same is told as frozen.
+    pub fn doubt_camera(&self) {
+        let mut shown = self.shown.lock().unwrap_or_else(|e| e.into_inner());
+        shown.1.doubt();
+    }
+
     /// Stage and nosepiece, behind their rules.
     pub fn gate(&self) -> &MotionGate {
         &self.gate

@@ -26,17 +26,34 @@ pub(super) struct AtRest {
     quiet: bool,
     /// Whether the last one was the same, of a camera that has noise.
     again: bool,
+    /// Whether it is asked if the camera still lives, as it shows nothing new.
+    doubted: bool,
+    /// Whether it was asked, and lived: its images at rest are the same now.
+    alike: bool,
 }
 
 impl AtRest {
     /// Takes the next image of a stage that has not moved: whether it is the same as the one before.
     fn take(&mut self, same: bool) {
         let noisy = !self.quiet && self.differed >= NOISY;
-        self.again = same && noisy;
+        self.again = same && noisy && !self.alike;
         match same {
-            false => self.differed = self.differed.saturating_add(1),
+            false => {
+                self.differed = self.differed.saturating_add(1);
+                (self.alike, self.doubted) = (false, false);
+            }
             true => self.quiet |= !noisy,
         }
+    }
+
+    /// The images of a stage at rest have been the same for long: that is no proof. Whether the camera lives is seen after the next move.
+    pub(super) fn doubt(&mut self) {
+        self.doubted = true;
+    }
+
+    /// Takes an image from elsewhere that is another one than the last.
+    fn changed(&mut self) {
+        self.alike |= std::mem::take(&mut self.doubted);
     }
 
     /// Whether the last image was the very same as the one before it, of a camera whose images at rest differ.
@@ -70,8 +87,10 @@ impl Shown {
         let Some(print) = print(&frame.samples, frame.channels.count()) else {
             return false;
         };
-        if let Some(before) = last.filter(|before| before.at == at) {
-            at_rest.take(before.print == print);
+        match *last {
+            Some(before) if before.at == at => at_rest.take(before.print == print),
+            Some(before) if before.print != print => at_rest.changed(),
+            _ => {}
         }
         let again = match *last {
             Some(before) if before.print == print => {
@@ -156,6 +175,32 @@ mod tests {
         // One without noise: the specimen was moved.
         assert_eq!(again(&[s, s, d, d, d, d, s]), [d; 7]);
         assert_eq!(again(&[d, d, s, d, d, d, s]), [d; 7]);
+    }
+
+    #[test]
+    fn a_camera_that_is_doubted_and_shows_another_image_may_have_lost_its_noise() {
+        let mut at_rest = AtRest::default();
+        let take = |at_rest: &mut AtRest, same: bool| {
+            at_rest.take(same);
+            at_rest.again()
+        };
+        for _ in 0..NOISY {
+            assert!(!take(&mut at_rest, false));
+        }
+        assert!(take(&mut at_rest, true));
+        // Another image alone is no answer where nobody asked.
+        at_rest.changed();
+        assert!(take(&mut at_rest, true));
+        at_rest.doubt();
+        assert!(take(&mut at_rest, true), "nothing has moved yet");
+        at_rest.changed();
+        assert!(!take(&mut at_rest, true), "it lives, and has no noise");
+        assert!(!take(&mut at_rest, true));
+        // What differs at rest has noise, asked or not: then the same image counts again.
+        at_rest.doubt();
+        assert!(!take(&mut at_rest, false));
+        at_rest.changed();
+        assert!(take(&mut at_rest, true));
     }
 
     #[test]

@@ -129,6 +129,17 @@ test("a run is what its events told, and another job begins another", () => {
   assert.deepEqual([trace.job, trace.steps.length, trace.lost], [4, 0, 0]);
 });
 
+test("a sweep in motion is told with what came of it", () => {
+  const sweep = { range_um: [-200, 0], um_per_s: 858.6, frames: 22, counted: 17 };
+  const begun = follow(EMPTY, record(3, { event: "phase_started", phase: "focus", objective: "40x" }));
+  const now = (end: string, near_um: number | null = null) => follow(begun, record(3, { event: "focus_swept", sweep: { ...sweep, end, near_um } })).now;
+  assert.equal(now("found", -7.6), "focusing with 40x; swept at 859 µm/s, 17 of 22 images count: looking closer at -8 µm");
+  assert.match(now("refused"), /^focusing with 40x; the stage does not move as slowly/);
+  assert.match(now("no_faster"), /would save no time/);
+  assert.match(now("unknown"), /17 of 22 images count, too few: looking at rest$/);
+  assert.match(now("no_peak"), /no peak: looking at rest$/);
+});
+
 test("a stage that scatters stands where it stood, and one that moved does not", () => {
   const from = { x_um: 100, y_um: -20, rz_deg: 3 };
   assert.equal(isAway(from, { x_um: 100.6, y_um: -20.6, rz_deg: 3.04 }), false);

@@ -9,7 +9,7 @@ use crate::vision::{grab, gray};
 use crate::{Expected, FrameRole, PlanarPose, ServoEnd, ServoError, ServoTask, Sink};
 use scopeservo_registration::likeness::Pair;
 use scopeservo_registration::{Estimate, Prior, Rival, shifted, turned, undecided};
-use scopeservo_scope::Instrument;
+use scopeservo_scope::{Instrument, ScopeError};
 use std::borrow::Cow;
 
 /// Where the target has no image to ask, a rival that explains this share of the places is as good.
@@ -150,6 +150,20 @@ impl Servo {
             }
             Proved::Bent => Belief::LookAgain,
             Proved::Moved(_) | Proved::Nothing => Belief::Unknown,
+        }
+    }
+
+    /// The camera shows nothing new while nothing moves. A step aside tells whether it froze, which ends the run, or has no noise.
+    pub(crate) fn doubts(
+        &mut self,
+        task: &ServoTask<'_>,
+        scope: &Instrument,
+        sink: &mut dyn Sink,
+        sight: &Sight<'_>,
+    ) -> Result<Progress<ServoEnd>, ServoError> {
+        match self.proof.may_step_aside() {
+            true => self.step_aside(task, scope, sink, sight),
+            false => Err(ScopeError::Frozen { device: "camera" }.into()),
         }
     }
 

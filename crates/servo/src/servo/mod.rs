@@ -55,7 +55,7 @@ impl Servo {
         self.convergence.rest(&test, scope)?;
         let present = scope.gate().position()?;
         // Camera.
-        let frame = grab_another(scope, sink, FrameRole::Servo, task.objective())?;
+        let (frame, is_again) = grab_another(scope, sink, FrameRole::Servo, task.objective())?;
         let view = View::of(&frame, scope)?;
         // Features, match and fit, homography, pose error and its covariance: Eqs. (7), (19), (20).
         let prior = self.expected.prior(task);
@@ -71,6 +71,10 @@ impl Servo {
         // Did the last move do what it was to do?
         if let Some(progress) = self.contradicted(task, scope, sink, &sight) {
             return Ok(progress);
+        }
+        // The same image as before confirms nothing. Does the camera still live?
+        if is_again {
+            return self.doubts(task, scope, sink, &sight);
         }
         // Is it the specimen, and the only place that looks like this?
         let (located, passes) = match self.believe(task, &test, &sight, passes) {

@@ -59,6 +59,25 @@ const PHASES: Record<string, string> = {
   servo: "looking for the saved view with",
 };
 
+type Sweep = { end: string; um_per_s: number; frames: number; counted: number; near_um: number | null };
+
+/** A coarse scan in motion, and why it was none. */
+function swept(sweep: Sweep): string {
+  const way = `swept at ${Math.round(sweep.um_per_s)} µm/s, ${sweep.counted} of ${sweep.frames} images count`;
+  switch (sweep.end) {
+    case "found":
+      return sweep.near_um === null ? way : `${way}: looking closer at ${sweep.near_um.toFixed(0)} µm`;
+    case "no_faster":
+      return "a sweep in motion would save no time: looking at rest";
+    case "refused":
+      return "the stage does not move as slowly as it is told: looking at rest";
+    case "unknown":
+      return `${way}, too few: looking at rest`;
+    default:
+      return `${way}, no peak: looking at rest`;
+  }
+}
+
 /** So many steps are remembered. */
 const STEPS = 200;
 
@@ -115,6 +134,8 @@ export function follow(trace: Trace, record: EventRecord): Trace {
     }
     case "focus_sample":
       return { ...after, focus: [...after.focus, { z: record.z_um as number, sharpness: record.sharpness as number }].slice(-60) };
+    case "focus_swept":
+      return { ...after, now: `${after.now}; ${swept(record.sweep as Sweep)}` };
     case "calibration_view":
       return { ...after, views: (record.index as number) + 1 };
     case "iteration": {

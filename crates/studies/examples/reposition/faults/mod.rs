@@ -1,5 +1,6 @@
 //! Runs in which one thing of the instrument is broken. The twin's truth judges, which the run never sees.
 
+mod any_time;
 mod kinds;
 mod page;
 mod random;

@@ -4,176 +4,20 @@
 //! breaks it, so that no step of the run protects from it.
 
 use super::Many;
+use super::any_time::{KINDS, Kind};
 use crate::scene::{Bench, Known, draw, of};
 use crate::whole::{apart, begin, word};
 use scopeservo_geometry::SplitMix64;
-use scopeservo_scope::{Axis, Clock, Frame, StagePose, Timestamp, VirtualClock};
+use scopeservo_scope::{Clock, Frame, StagePose, Timestamp, VirtualClock};
 use scopeservo_servo::{
     Event, FrameRole, Reposition, RepositionOptions, Sink, Stamped, Verdict, run as steps,
 };
 use scopeservo_studies::rounds::{Outcome, rounds};
-use scopeservo_twin::{StageFault, Twin};
+use scopeservo_twin::Twin;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-
-/// What may break at any time.
-struct Kind {
-    name: &'static str,
-    /// Whether the run must arrive all the same.
-    arrives: bool,
-    what: fn(&Twin, &mut SplitMix64),
-}
-
-fn wall(twin: &Twin, axis: Axis, beyond: f64) {
-    let at = twin.truth_now().stage.si(axis).unwrap_or(0.0);
-    let between = Some([at - beyond, at + beyond]);
-    twin.fault(StageFault::Wall { axis, between });
-}
-
-const KINDS: [Kind; 19] = [
-    Kind {
-        name: "nothing",
-        arrives: true,
-        what: |_, _| {},
-    },
-    Kind {
-        name: "three frames lost",
-        arrives: true,
-        what: |t, _| t.fault(StageFault::DropFrames(3)),
-    },
-    Kind {
-        name: "three frames 0.3 s late",
-        arrives: true,
-        what: |t, _| {
-            t.fault(StageFault::LateFrames {
-                count: 3,
-                delay_s: 0.3,
-            });
-        },
-    },
-    Kind {
-        name: "a torn frame",
-        arrives: true,
-        what: |t, _| t.fault(StageFault::TornFrame),
-    },
-    Kind {
-        name: "camera silent",
-        arrives: false,
-        what: |t, _| t.fault(StageFault::SilentCamera(true)),
-    },
-    Kind {
-        name: "camera frozen",
-        arrives: false,
-        what: |t, _| t.fault(StageFault::FrozenCamera(true)),
-    },
-    Kind {
-        name: "images 3 late",
-        arrives: false,
-        what: |t, _| t.fault(StageFault::StaleFrames(3)),
-    },
-    Kind {
-        name: "plug pulled",
-        arrives: false,
-        what: |t, _| t.fault(StageFault::Unplugged(true)),
-    },
-    Kind {
-        name: "x stands",
-        arrives: false,
-        what: |t, _| {
-            t.fault(StageFault::StuckAxis {
-                axis: Axis::X,
-                stuck: true,
-            });
-        },
-    },
-    Kind {
-        name: "z stands",
-        arrives: false,
-        what: |t, _| {
-            t.fault(StageFault::StuckAxis {
-                axis: Axis::Z,
-                stuck: true,
-            });
-        },
-    },
-    Kind {
-        name: "rotation stands",
-        arrives: false,
-        what: |t, _| {
-            t.fault(StageFault::StuckAxis {
-                axis: Axis::Rz,
-                stuck: true,
-            });
-        },
-    },
-    Kind {
-        name: "x at a limit switch",
-        arrives: false,
-        what: |t, _| wall(t, Axis::X, 5e-6),
-    },
-    Kind {
-        name: "z at a limit switch",
-        arrives: false,
-        what: |t, _| wall(t, Axis::Z, 5e-6),
-    },
-    Kind {
-        name: "rotation at a limit switch",
-        arrives: false,
-        what: |t, _| wall(t, Axis::Rz, 1e-4),
-    },
-    Kind {
-        name: "nosepiece turns no more",
-        arrives: false,
-        what: |t, _| {
-            let now = t.truth_now().objective;
-            let said = t.config().optics.iter().position(|o| o.id.0 == now);
-            t.fault(StageFault::InBeam(said));
-        },
-    },
-    Kind {
-        name: "moved by hand, 40 to 80 um",
-        arrives: false,
-        what: |t, rng| {
-            let far_m = 40e-6 * (1.0 + rng.uniform());
-            let (y, x) = (std::f64::consts::TAU * rng.uniform()).sin_cos();
-            for (axis, way) in [(Axis::X, x), (Axis::Y, y)] {
-                t.fault(StageFault::LostSteps {
-                    axis,
-                    si: far_m * way,
-                });
-            }
-        },
-    },
-    Kind {
-        name: "z slips by 20 um",
-        arrives: false,
-        what: |t, rng| {
-            let si = if rng.uniform() < 0.5 { -20e-6 } else { 20e-6 };
-            t.fault(StageFault::LostSteps { axis: Axis::Z, si });
-        },
-    },
-    Kind {
-        name: "play of 8 um in x",
-        arrives: false,
-        what: |t, _| {
-            t.fault(StageFault::Backlash {
-                axis: Axis::X,
-                si: 8e-6,
-            });
-        },
-    },
-    Kind {
-        name: "drift of 2 um/s",
-        arrives: false,
-        what: |t, _| {
-            t.fault(StageFault::Drift {
-                um_per_s: [2.0, 0.0, 0.0],
-            });
-        },
-    },
-];
 
 /// What a run came to.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
