@@ -2,6 +2,7 @@
 
 use crate::journal::{self, FileJournal};
 use crate::known;
+use crate::specimen::First;
 use scopeservo_library::{Database, Journal as _, Journalled, LibraryError};
 use scopeservo_scope::{CancelToken, GateEvent, Instrument};
 use scopeservo_servo::{Parcentric, SwitchingReport};
@@ -27,6 +28,8 @@ pub struct Workbench {
     pub switchings: Vec<SwitchingReport>,
     /// The same by calibrations that were made together.
     pub parcentric: Vec<Parcentric>,
+    /// What lies under a simulated microscope at first.
+    pub(crate) first_specimen: First,
     /// Where the state of its jobs goes.
     pub journal: Arc<FileJournal>,
     /// Let go last.
@@ -80,6 +83,7 @@ impl Workbench {
             drivers,
             switchings,
             parcentric,
+            first_specimen: First::default(),
             journal,
             _held: held,
         })
