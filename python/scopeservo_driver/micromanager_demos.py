@@ -10,8 +10,8 @@ from typing import Any
 from .devices import Objective
 from .options import OptionError
 
-# What they are called shows that they are simulated.
-CAMERA, XY, Z = "simulated camera", "simulated XY", "simulated Z"
+# The camera says that it is simulated. It looks for the stages by these names of theirs.
+CAMERA, XY, Z = "simulated camera", "XY", "Z"
 DEMO_DEVICES = [(CAMERA, "DCam"), (XY, "DXYStage"), (Z, "DStage"), ("Objective", "DObjective")]
 
 SAMPLE_OBJECTIVES = [

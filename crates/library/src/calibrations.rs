@@ -188,14 +188,13 @@ pub(crate) fn newest(
     let Some((path, kept)) = files.find_map(|path| own(&path).map(|kept| (path, kept))) else {
         return Ok(None);
     };
-    kept.map(Some).or_else(|what| {
-        Err(LibraryError::DamagedCalibration {
+    kept.map(Some)
+        .map_err(|what| LibraryError::DamagedCalibration {
             path,
             what,
             objective: objective.id.0.clone(),
             before: files.find(|path| own(path).is_some_and(|kept| kept.is_ok())),
         })
-    })
 }
 
 /// Where the newest of files lies that is one of this instrument, or that is damaged.

@@ -98,7 +98,7 @@ function Bring({ free }: { free: boolean }) {
   };
   return (
     <form
-      class="row edit"
+      class="row bring"
       onSubmit={(event) => {
         event.preventDefault();
         if (file) void bring(file);
