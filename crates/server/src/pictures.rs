@@ -14,6 +14,7 @@ use std::io::Write as _;
 use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
+use tokio::sync::SemaphorePermit;
 
 /// No picture is larger, bytes.
 pub(crate) const LARGEST: usize = 64 << 20;
@@ -99,10 +100,22 @@ pub(crate) fn ending(headers: &HeaderMap) -> Result<&'static str, ApiError> {
     })
 }
 
+/// A place among those that come; it is held until the picture is kept, so that no more are decoded at once either.
+///
+/// # Errors
+/// `no_demo`, `too_many`.
+pub(crate) fn place(app: &App) -> Result<SemaphorePermit<'_>, ApiError> {
+    let demo = app.demo.as_ref().ok_or_else(no_demo)?;
+    demo.coming.try_acquire().map_err(|_| {
+        let message = "other pictures are coming: wait until they are there";
+        ApiError::too_many(message, Duration::from_secs(5))
+    })
+}
+
 /// What is sent, within bounds of size and time.
 ///
 /// # Errors
-/// `too_large`, `too_slow`, `too_many`.
+/// `too_large`, `too_slow`.
 pub(crate) async fn received(
     app: &App,
     headers: &HeaderMap,
@@ -119,10 +132,6 @@ pub(crate) async fn received(
     if said.is_some_and(|length| length > LARGEST as u64) {
         return Err(too_large());
     }
-    let _place = demo.coming.try_acquire().map_err(|_| {
-        let message = "other pictures are coming: wait until they are there";
-        ApiError::too_many(message, Duration::from_secs(5))
-    })?;
     let all = axum::body::to_bytes(body, LARGEST);
     match tokio::time::timeout(demo.patience, all).await {
         Ok(Ok(bytes)) => Ok(bytes.into()),

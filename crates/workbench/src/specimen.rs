@@ -3,7 +3,7 @@
 use crate::Workbench;
 use scopeservo_twin::specimen::{FileSpecimen, Specimen};
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, PoisonError};
 use thiserror::Error;
 
 /// Why a picture cannot lie under the microscope.
@@ -19,10 +19,6 @@ pub enum LayError {
         what: String,
     },
 }
-
-/// What lay there at first, while something else does.
-#[derive(Default)]
-pub(crate) struct First(Mutex<Option<Arc<dyn Specimen>>>);
 
 impl Workbench {
     /// Lays a picture with pixels of that size, um, under the simulated microscope, its middle in the middle of the view; what lay there at
@@ -42,7 +38,7 @@ impl Workbench {
                 Some(Arc::new(opened))
             }
         };
-        let first = &self.first_specimen.0;
+        let first = &self.first_specimen;
         let mut first = first.lock().unwrap_or_else(PoisonError::into_inner);
         match (new, first.take()) {
             (None, None) => return Ok(()),

@@ -39,6 +39,7 @@ async fn bring(
     let named = name.clone();
     // What will not be kept need not come.
     aside(&app, move |app| pictures::may_come(app, &named, um_per_px)).await?;
+    let _place = pictures::place(&app)?;
     let (head, body) = request.into_parts();
     let bytes = pictures::received(&app, &head.headers, body).await?;
     let kept = aside(&app, move |app| {
