@@ -137,7 +137,8 @@ export async function ownPicture(browser, link) {
   await wellFormed(page, "picture");
   await dialog.getByRole("button", { name: "Use it as the slide" }).click();
   await until(page, (s) => s.demo.picture === "my-gland-2", "the picture does not lie there");
-  await dialog.getByText("1600 × 1200 pixels").waitFor();
+  const own = dialog.getByRole("listitem").filter({ hasText: "1600 × 1200 pixels" });
+  await own.getByText("lies there").waitFor();
   assert.equal(await dialog.getByRole("button", { name: "Remove" }).count(), 0, "what lies there is not removed");
   await shoot(page, "desk", "pictures");
   // What is no picture says so, and stays said.
