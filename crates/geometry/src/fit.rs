@@ -293,6 +293,13 @@ pub fn fit_similarity_robust(
     })
 }
 
+/// The transform of [`fit_affine_robust`] without regard to which errors are shared, for those who ask for no covariance.
+pub fn affine_robust(c: &[Correspondence]) -> Option<Affine2> {
+    let affine = |weights: &[f64]| Some(solve(weighted(c, weights))?.b_from_a);
+    let robust = robust_weights(c, 3, affine)?;
+    affine(&combined(c, &robust))
+}
+
 /// The transform of [`fit_similarity_robust`], for those who ask for no covariance.
 pub fn similarity_robust(c: &[Correspondence]) -> Option<Affine2> {
     Some(solve_similarity_robust(c)?.2.b_from_a)

@@ -26,8 +26,9 @@ mod solve;
 pub use affine::{Affine2, Similarity};
 pub use dense::Cholesky;
 pub use fit::{
-    AffineFit, Correspondence, SharedErrors, affine_from_3, fit_affine, fit_affine_robust,
-    fit_similarity, fit_similarity_robust, similarity_from_oriented, similarity_robust,
+    AffineFit, Correspondence, SharedErrors, affine_from_3, affine_robust, fit_affine,
+    fit_affine_robust, fit_similarity, fit_similarity_robust, similarity_from_oriented,
+    similarity_robust,
 };
 pub use jackknife::{Normal, changes_without, covariance as covariance_of_deviations};
 pub use mat2::{Mat2, Svd2};

@@ -1,13 +1,12 @@
 //! How alike two images are under a transform, patch by patch: zero-mean normalised correlation, blind to gain and offset of each
 //! patch and so to shading.
 
+pub use crate::plane::Plane;
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, Vec2};
 
 /// Blur before comparing, in pixels of the coarser image: sampling between pixels then changes noise little.
 const BLUR_PX: f64 = 1.0;
-/// How much wider the blur is whose result is taken away.
-const BAND: f64 = 6.0;
 /// Half side of the patches that [`Pair::compare`] looks at, and their distance, in pixels of the coarser image.
 const PATCH_RADIUS: usize = 6;
 const PATCH_STEP: usize = 10;
@@ -20,97 +19,6 @@ const APART: f64 = 0.35;
 
 /// Less variance than this is rounding, for values from 0 to 1.
 const LEAST_VARIANCE: f64 = 1e-12;
-
-/// An image made ready for comparison.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Plane {
-    width: usize,
-    height: usize,
-    pub(crate) data: Vec<f32>,
-}
-
-impl Plane {
-    /// `image`, blurred by a Gaussian of `sigma_px`.
-    pub fn new(image: &GrayImage, sigma_px: f64) -> Self {
-        let (width, height) = (image.width(), image.height());
-        let reach = (3.0 * sigma_px).ceil().max(1.0) as usize;
-        let weight = |d: f64| (-0.5 * (d / sigma_px.max(1e-3)).powi(2)).exp();
-        let taps: Vec<f64> = (0..=reach).map(|d| weight(d as f64)).collect();
-        let sum = 2.0 * taps.iter().sum::<f64>() - taps[0];
-        let taps: Vec<f32> = taps.iter().map(|t| (t / sum) as f32).collect();
-        let data = image.data();
-        let mut along = vec![0.0f32; width * height];
-        for (out, row) in along.chunks_exact_mut(width).zip(data.chunks_exact(width)) {
-            blur_line(&taps, width, |x| row[x], |x, v| out[x] = v);
-        }
-        // Down the columns, a row of sums at a time.
-        let mut blurred = vec![0.0f32; width * height];
-        for (y, out) in blurred.chunks_exact_mut(width).enumerate() {
-            let mut add = |row: usize, tap: f32| {
-                let row = &along[row * width..][..width];
-                out.iter_mut().zip(row).for_each(|(o, v)| *o += tap * v);
-            };
-            add(y, taps[0]);
-            for (d, &tap) in taps.iter().enumerate().skip(1) {
-                add(y.saturating_sub(d), tap);
-                add((y + d).min(height - 1), tap);
-            }
-        }
-        Self {
-            width,
-            height,
-            data: blurred,
-        }
-    }
-
-    /// Without what is wider than [`BAND`] times the blur: shading and wide soft shadows.
-    pub(crate) fn band(image: &GrayImage, sigma_px: f64) -> Self {
-        let (mut fine, wide) = (
-            Self::new(image, sigma_px),
-            Self::new(image, BAND * sigma_px),
-        );
-        fine.data
-            .iter_mut()
-            .zip(&wide.data)
-            .for_each(|(f, w)| *f -= w);
-        fine
-    }
-
-    /// The values, row by row.
-    pub(crate) fn values(&self) -> &[f32] {
-        &self.data
-    }
-
-    /// The value between pixels; `None` outside.
-    pub fn at(&self, p: Vec2) -> Option<f64> {
-        let inside = p[0] >= 0.0 && p[1] >= 0.0;
-        let (x, y) = (p[0] as usize, p[1] as usize);
-        if !inside || x + 1 >= self.width || y + 1 >= self.height {
-            return None;
-        }
-        let (u, v) = (p[0] - x as f64, p[1] - y as f64);
-        let k = y * self.width + x;
-        let [a, b, c, d] =
-            [k, k + 1, k + self.width, k + self.width + 1].map(|k| f64::from(self.data[k]));
-        Some((1.0 - v) * ((1.0 - u) * a + u * b) + v * ((1.0 - u) * c + u * d))
-    }
-}
-
-/// One line, mirrored at nothing: beyond an end its last value goes on.
-fn blur_line(
-    taps: &[f32],
-    length: usize,
-    value: impl Fn(usize) -> f32,
-    mut put: impl FnMut(usize, f32),
-) {
-    for x in 0..length {
-        let mut sum = taps[0] * value(x);
-        for (d, tap) in taps.iter().enumerate().skip(1) {
-            sum += tap * (value(x.saturating_sub(d)) + value((x + d).min(length - 1)));
-        }
-        put(x, sum);
-    }
-}
 
 /// How alike a patch of a is to what lies in b where a transform takes it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -138,15 +46,15 @@ pub fn likeness(
     radius: usize,
 ) -> Option<Likeness> {
     let [x, y] = centre;
-    let rows = y.saturating_sub(radius)..(y + radius + 1).min(a.height);
-    let columns = x.saturating_sub(radius)..(x + radius + 1).min(a.width);
+    let rows = y.saturating_sub(radius)..(y + radius + 1).min(a.height());
+    let columns = x.saturating_sub(radius)..(x + radius + 1).min(a.width());
     let (mut sums, mut count) = ([0.0f64; 5], 0usize);
     for row in rows {
         for column in columns.clone() {
             let Some(vb) = b.at(b_from_a.apply([column as f64, row as f64])) else {
                 continue;
             };
-            let va = f64::from(a.data[row * a.width + column]);
+            let va = f64::from(a.values()[row * a.width() + column]);
             count += 1;
             for (sum, v) in sums.iter_mut().zip([va, vb, va * va, vb * vb, va * vb]) {
                 *sum += v;
@@ -236,7 +144,8 @@ impl Pair {
     fn patches(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
         let along =
             |side: usize| (PATCH_RADIUS..side.saturating_sub(PATCH_RADIUS)).step_by(PATCH_STEP);
-        along(self.coarse.height).flat_map(move |y| along(self.coarse.width).map(move |x| [x, y]))
+        along(self.coarse.height())
+            .flat_map(move |y| along(self.coarse.width()).map(move |x| [x, y]))
     }
 
     /// Each patch's place in the view with its likeness.
@@ -276,7 +185,10 @@ impl Pair {
                 found.take(one, two, noise);
             }
         }
-        for (one, two) in self.look_back(first)?.iter().zip(&self.look_back(second)?) {
+        // One grid for both: transforms of other scales would lay others, and their patches be compared with those of other places.
+        let step = self.step_back(first)?;
+        let back = |t: &Affine2| self.look_back(t, step);
+        for (one, two) in back(first)?.iter().zip(&back(second)?) {
             if one.0.is_some_and(&counts) && two.0.is_some_and(&counts) {
                 found.take(&one.1, &two.1, noise);
             }
@@ -284,26 +196,33 @@ impl Pair {
         Some(found)
     }
 
-    /// For each patch of a grid over the finer image, its place in the view and the likeness of the coarse patch that it comes from.
+    /// Distance of the patches of a grid over the finer image, so that they lie [`PATCH_STEP`] apart in the coarser one.
+    fn step_back(&self, target_from_view: &Affine2) -> Option<f64> {
+        let scale = self.fine_from_coarse(target_from_view)?.linear.det().abs();
+        Some((PATCH_STEP as f64 * scale.sqrt()).max(1.0))
+    }
+
+    /// For each patch of a grid over the finer image, `step` pixels apart, its place in the view and the likeness of the coarse patch that it
+    /// comes from.
     fn look_back(
         &self,
         target_from_view: &Affine2,
+        step: f64,
     ) -> Option<Vec<(Option<Vec2>, Option<Likeness>)>> {
         let fine_from_coarse = self.fine_from_coarse(target_from_view)?;
         let coarse_from_fine = fine_from_coarse.inverse()?;
-        let step = (PATCH_STEP as f64 / coarse_from_fine.linear.det().abs().sqrt()).max(1.0);
         let along = move |side: usize| {
             let count = (side as f64 / step) as usize;
             (0..count).map(move |k| (k as f64 + 0.5) * step)
         };
         let mut seen = Vec::new();
-        for y in along(self.fine.height) {
-            for x in along(self.fine.width) {
+        for y in along(self.fine.height()) {
+            for x in along(self.fine.width()) {
                 let at = coarse_from_fine.apply([x, y]).map(f64::round);
                 let inside = at[0] >= 0.0
                     && at[1] >= 0.0
-                    && at[0] < self.coarse.width as f64
-                    && at[1] < self.coarse.height as f64;
+                    && at[0] < self.coarse.width() as f64
+                    && at[1] < self.coarse.height() as f64;
                 if !inside {
                     seen.push((None, None));
                     continue;

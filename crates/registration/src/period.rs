@@ -19,6 +19,13 @@ const LEAST_OVERLAP: f64 = 0.08;
 const MOST_PIXELS: usize = 1_500_000;
 /// So many are told: the nearest.
 const MOST: usize = 4;
+/// A whole period makes the image as alike as any other does, to this share. Half of one does not, and neither does a way along the lines of
+/// a grid of lines, where half of them stay.
+const AS_ALIKE: f64 = 0.75;
+/// On the way to a period the image is less alike, by this share of it. Along the lines of a grating it is not.
+const DIP: f64 = 0.15;
+/// Two directions are two when the sine between them is this.
+const ACROSS: f64 = 0.35;
 
 /// The shortest shifts, in pixels, under which the image looks like itself; of each and its opposite one is told. Empty for what does not
 /// repeat.
@@ -132,6 +139,70 @@ impl SelfLikeness {
         }
         peaks.sort_by(|a, b| length(a.shift).total_cmp(&length(b.shift)));
         peaks
+    }
+}
+
+impl SelfLikeness {
+    /// The shortest whole periods that lie in different directions, px: two of a lattice, one of a grating, none of what does not repeat.
+    pub(crate) fn shortest_periods(&self) -> Vec<Vec2> {
+        let peaks = self.peaks();
+        let highest = peaks.iter().map(|p| p.height).fold(0.0, f64::max);
+        let whole = peaks.iter().filter(|p| p.height >= AS_ALIKE * highest);
+        let mut periods = whole.filter(|p| self.dips(p));
+        let Some(first) = periods.next() else {
+            // Along the lines of a grating it is alike everywhere.
+            return peaks
+                .first()
+                .map(|p| self.top(p.shift))
+                .into_iter()
+                .collect();
+        };
+        let across = |p: &&Peak| {
+            let [[ax, ay], [bx, by]] = [first.shift, p.shift];
+            let length = |x: i64, y: i64| f64::hypot(x as f64, y as f64);
+            (ax * by - ay * bx).abs() as f64 > ACROSS * length(ax, ay) * length(bx, by)
+        };
+        // Beyond the next line of a grating the image is as alike as along this one.
+        let second = periods.find(across).map(|p| self.without(p, first));
+        let second = second.filter(|p| self.dips(p));
+        let both = [Some(first.shift), second.map(|p| p.shift)];
+        both.into_iter().flatten().map(|s| self.top(s)).collect()
+    }
+
+    /// A period without whole first ones.
+    fn without(&self, period: &Peak, first: &Peak) -> Peak {
+        let [a, b] = [first.shift, period.shift];
+        let times = (a[0] * b[0] + a[1] * b[1]) as f64 / (a[0] * a[0] + a[1] * a[1]) as f64;
+        let shift = [0, 1].map(|k| b[k] - times.round() as i64 * a[k]);
+        let height = self.at(shift[0], shift[1]);
+        Peak { shift, height }
+    }
+
+    /// Whether the image is less alike on the way to a peak.
+    fn dips(&self, peak: &Peak) -> bool {
+        let [x, y] = peak.shift.map(|v| v as f64);
+        let on_the_way = (1..16).map(|k| {
+            let share = f64::from(k) / 16.0;
+            self.at((share * x).round() as i64, (share * y).round() as i64)
+        });
+        on_the_way.fold(f64::INFINITY, f64::min) < (1.0 - DIP) * peak.height
+    }
+
+    /// The top of a peak between samples, by a parabola along each axis; pixels.
+    fn top(&self, [x, y]: [i64; 2]) -> Vec2 {
+        let between = |before: f64, here: f64, after: f64| {
+            let bend = before - 2.0 * here + after;
+            match bend < 0.0 && bend.is_finite() {
+                true => (0.5 * (before - after) / bend).clamp(-0.5, 0.5),
+                false => 0.0,
+            }
+        };
+        let here = self.at(x, y);
+        let at = [
+            x as f64 + between(self.at(x - 1, y), here, self.at(x + 1, y)),
+            y as f64 + between(self.at(x, y - 1), here, self.at(x, y + 1)),
+        ];
+        at.map(|v| v * self.every as f64)
     }
 }
 

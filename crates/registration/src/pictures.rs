@@ -5,7 +5,7 @@ use crate::corners::centre;
 use crate::likeness::Pair;
 use crate::{
     Estimate, NotFound, Options, Prior, Registration, Rival, find_rivals, periods, register,
-    shifted, undecided,
+    shifted, turned, undecided,
 };
 use scopeservo_features::{FeatureEngine, FeatureError, Features, GrayImage};
 use scopeservo_geometry::{Affine2, Mat2};
@@ -66,8 +66,10 @@ const MOST: f64 = 0.75;
 /// and no more than this of what either shows is missing in the other: 0 to 0.2 % of nearly all of 285 such pairs, and 10 % of two nearly
 /// empty places behind soft dust that covers most of the image.
 const CONTRADICTED: f64 = 0.02;
-/// Fewer inliers than this, and the pixels must agree, too: single alike cells or dies of a lattice may agree by place
+/// Fewer inliers than this, or a smaller share of the matches, and the pixels must agree, too: single alike cells or dies of a lattice may
+/// agree by place
 const FEW: usize = 20;
+const FEW_OF_MATCHES: f64 = 0.1;
 /// in more than this share of what has the most structure.
 const FEW_EXPLAIN: f64 = 0.5;
 
@@ -140,7 +142,9 @@ fn judge(
     // Not one bit changed, noise included: that is one image.
     let equal = view == target;
     let pair = Pair::new(view, target, transform.linear.det().abs().sqrt());
-    if answer.inliers < FEW && pair.share_explained(&transform) < FEW_EXPLAIN {
+    let few =
+        answer.inliers < FEW || (answer.inliers as f64) < FEW_OF_MATCHES * answer.matches as f64;
+    if few && pair.share_explained(&transform) < FEW_EXPLAIN {
         return PictureVerdict::NotFound(NotFound::ByChance {
             inliers: answer.inliers,
             matches: answer.matches,
@@ -158,7 +162,8 @@ fn judge(
             };
         }
     }
-    let mut rivals = shifted(&estimate, &periods(target));
+    let periods = periods(target);
+    let mut rivals = shifted(&estimate, &periods);
     rivals.extend(find_rivals(
         view_features,
         target_features,
@@ -169,7 +174,9 @@ fn judge(
     ));
     // What decides for an image that stays may itself be fixed to the camera.
     let trusted = !stays || equal;
-    if let Some(rival) = undecided(&pair, &transform, &rivals, trusted, |_| true) {
+    let open = |rivals: &[Rival]| undecided(&pair, &transform, rivals, trusted, |_| true);
+    let turns = || turned(&estimate, target, &periods);
+    if let Some(rival) = open(&rivals).or_else(|| open(&turns())) {
         return PictureVerdict::Ambiguous { estimate, rival };
     }
     PictureVerdict::Found {

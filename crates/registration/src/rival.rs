@@ -7,12 +7,13 @@
 
 use crate::corners::{centre, corners};
 use crate::correspondences::point;
-use crate::prior::wrap;
+use crate::prior::{coherence, wrap};
 use crate::significance::{log10_nfa, unique_places};
 use crate::{Estimate, Options, Prior, Registration};
 use scopeservo_features::{Features, Keypoint};
 use scopeservo_geometry::{
-    Affine2, Correspondence, OrientedProblem, RansacOptions, Vec2, lo_ransac, similarity_robust,
+    Affine2, Correspondence, OrientedProblem, RansacOptions, Vec2, affine_robust, lo_ransac,
+    similarity_robust,
 };
 use serde::{Deserialize, Serialize};
 
@@ -108,7 +109,7 @@ pub fn find_rivals(
     let scale = first.target_from_view.linear.det().abs().sqrt();
     let coarse_px = scale.max(1.0);
     let threshold = options.threshold_px * coarse_px;
-    let asked = asked(view, target, answer, threshold);
+    let asked = asked(view, target, answer, &first.target_from_view, threshold);
     let limits = alike_limits(view, target, &asked);
     let (in_target, in_view) = (ELSEWHERE_PX * coarse_px, ELSEWHERE_PX * coarse_px / scale);
     let mut named = Vec::new();
@@ -178,24 +179,61 @@ pub fn shifted(first: &Estimate, periods_px: &[Vec2]) -> Vec<Rival> {
     .collect()
 }
 
-/// Agreeing pairs spread over the image: places that lie together would vote together.
+/// Pairs of places that are alike where the first transform takes one to the other, spread over the image: places that lie together would vote
+/// together. Those that were matched are the ones without a twin, as the ratio test leaves no others; so what lies and looks as it should is
+/// asked as well.
 fn asked(
     view: &Features,
     target: &Features,
     answer: &Registration,
+    first: &Affine2,
     threshold: f64,
 ) -> Vec<[usize; 2]> {
-    let points: Vec<(Vec2, Vec2)> = answer
-        .agreeing
+    let mut all = answer.agreeing.clone();
+    let limit = usual(view, target, &all) * ALIKE * ALIKE;
+    let coherent = coherence(first);
+    let mut by_row: Vec<usize> = (0..target.len()).collect();
+    by_row.sort_by(|&a, &b| target.keypoints[a].y.total_cmp(&target.keypoints[b].y));
+    for (query, v) in view.keypoints.iter().enumerate() {
+        let there = first.apply(point(v));
+        let from =
+            by_row.partition_point(|&t| f64::from(target.keypoints[t].y) < there[1] - threshold);
+        let near = by_row[from..]
+            .iter()
+            .copied()
+            .take_while(|&t| f64::from(target.keypoints[t].y) <= there[1] + threshold);
+        let alike = near.filter(|&t| {
+            let k = &target.keypoints[t];
+            let shape = [v.sigma, k.sigma, v.angle, k.angle].map(f64::from);
+            v.bright == k.bright
+                && f64::hypot(f64::from(k.x) - there[0], f64::from(k.y) - there[1]) <= threshold
+                && coherent(&shape)
+        });
+        let likest = alike
+            .map(|t| (distance_sq(view, query, target, t), t))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        all.extend(likest.filter(|l| l.0 <= limit).map(|l| [query, l.1]));
+    }
+    let points: Vec<(Vec2, Vec2)> = all
         .iter()
         .map(|&[q, t]| (point(&view.keypoints[q]), point(&target.keypoints[t])))
         .collect();
     let apart: Vec<[usize; 2]> = unique_places(&points, 4.0, threshold)
         .into_iter()
-        .map(|k| answer.agreeing[k])
+        .map(|k| all[k])
         .collect();
     let every = apart.len().div_ceil(ASKED).max(1);
     apart.into_iter().step_by(every).collect()
+}
+
+/// The squared distance that pairs have in the median.
+fn usual(view: &Features, target: &Features, pairs: &[[usize; 2]]) -> f32 {
+    let mut own: Vec<f32> = pairs
+        .iter()
+        .map(|&[q, t]| distance_sq(view, q, target, t))
+        .collect();
+    own.sort_by(f32::total_cmp);
+    own.get(own.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// What cannot be compared is nowhere alike.
@@ -207,14 +245,9 @@ fn distance_sq(view: &Features, query: usize, target: &Features, train: usize) -
 
 /// Up to which squared distance a descriptor looks like each of those asked.
 fn alike_limits(view: &Features, target: &Features, asked: &[[usize; 2]]) -> Vec<f32> {
-    let own: Vec<f32> = asked
-        .iter()
-        .map(|&[q, t]| distance_sq(view, q, target, t))
-        .collect();
-    let mut sorted = own.clone();
-    sorted.sort_by(f32::total_cmp);
-    let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-    own.iter().map(|d| ALIKE * ALIKE * d.max(usual)).collect()
+    let usual = usual(view, target, asked);
+    let own = asked.iter().map(|&[q, t]| distance_sq(view, q, target, t));
+    own.map(|d| ALIKE * ALIKE * d.max(usual)).collect()
 }
 
 /// The nearest features that look like `asked`, a keypoint of the other image, and lie elsewhere than `here`.
@@ -334,12 +367,14 @@ fn rate(
         let q = t.apply(n.pair.p_in_a);
         f64::hypot(q[0] - n.pair.p_in_b[0], q[1] - n.pair.p_in_b[1]) <= threshold
     };
-    let near: Vec<Correspondence> = named
-        .iter()
-        .filter(|n| agrees(&rough, n))
-        .map(|n| n.pair)
-        .collect();
-    let fitted = similarity_robust(&near);
+    let near = |t: &Affine2| -> Vec<Correspondence> {
+        let near = named.iter().filter(|n| agrees(t, n));
+        near.map(|n| n.pair).collect()
+    };
+    // A turned lattice of pixels that are not square is no similarity, and few places bend an affine transform.
+    let similar = similarity_robust(&near(&rough));
+    let affine = |t: Affine2| affine_robust(&near(&t));
+    let bent = similar.and_then(affine).and_then(affine);
     let explained = |t: &Affine2, side: Side| {
         let of = named.iter().filter(|n| n.side == side && agrees(t, n));
         let mut explained: Vec<usize> = of.map(|n| n.asked).collect();
@@ -348,7 +383,7 @@ fn rate(
     };
     let count = |t: &Affine2| explained(t, Side::Target).max(explained(t, Side::View));
     // Few places bend a fit: then the shape of the first transform is the better one.
-    let (places, transform) = [Some(rough), fitted]
+    let (places, transform) = [Some(rough), similar, bent]
         .into_iter()
         .flatten()
         .map(|t| (count(&t), t))

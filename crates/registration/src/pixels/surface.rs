@@ -46,7 +46,7 @@ impl<'a> Surface<'a> {
             return sharp;
         }
         Self {
-            data: Cow::Owned(Plane::new(image, sigma_px).data),
+            data: Cow::Owned(Plane::new(image, sigma_px).into_values()),
             blur_px: sigma_px,
             ..sharp
         }

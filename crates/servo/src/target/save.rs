@@ -9,7 +9,9 @@ use crate::vision::{centre_px, grab, gray, same_objective};
 use crate::{Calibration, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_features::{Features, GrayImage, Keypoint};
 use scopeservo_registration::likeness::Pair;
-use scopeservo_registration::{Estimate, Prior, find_rivals, periods, shifted, undecided};
+use scopeservo_registration::{
+    Estimate, Prior, Rival, find_rivals, periods, shifted, turned, undecided,
+};
 use scopeservo_scope::{ErrorKind, Frame, Instrument, ObjectiveId, StagePose};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -123,7 +125,9 @@ impl SaveTarget {
         ));
         let pair = Pair::new(second, image, 1.0);
         // Without a move what decides may itself be fixed to the camera.
-        match undecided(&pair, &found.target_from_view, &rivals, moved, counts) {
+        let transform = &found.target_from_view;
+        let open = |rivals: &[Rival]| undecided(&pair, transform, rivals, moved, &counts);
+        match open(&rivals).or_else(|| open(&turned(found, image, &target.periods_px))) {
             None => Ok(()),
             Some(rival) => Err(ServoError::Repeats {
                 rival,

@@ -52,6 +52,28 @@ fn disorder_tells_a_lattice_apart() {
     }
 }
 
+/// Turned by a quarter about the cell that is missing it looks the same, and the saved place lies elsewhere: 70 um away the run once arrived.
+#[test]
+fn a_lattice_turned_about_its_missing_cell_is_never_arrived_at_elsewhere() {
+    for turn_deg in [90.0, 180.0, -90.0] {
+        let config = LatticeConfig {
+            pitch_um: 50.0,
+            odd_cell: Some([7, 2]),
+            ..LatticeConfig::default()
+        };
+        let bench = over(Arc::new(Lattice::new(config).unwrap()), &[]);
+        let target = save_still(&bench);
+        bench.twin.remount(PLACE_UM, [30.0, -18.0], turn_deg, false);
+        let (outcome, _) = go(&bench, target);
+        assert_ne!(
+            outcome.verdict,
+            Verdict::Arrived,
+            "{turn_deg}: {}",
+            outcome.message
+        );
+    }
+}
+
 #[test]
 fn a_view_that_drifts_is_refused_with_its_speed() {
     let bench = over(Arc::new(scopeservo_twin::specimen::Tissue::new(7)), &[]);

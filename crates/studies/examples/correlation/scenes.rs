@@ -42,11 +42,6 @@ impl Family {
         Self::Blank,
         Self::Dust,
     ];
-
-    /// Whether view and target show the same, in one place.
-    pub(crate) fn positive(self) -> bool {
-        matches!(self, Self::Hard | Self::HardSparse)
-    }
 }
 
 /// A view, a target and the truth.
