@@ -10,7 +10,9 @@ from typing import Any
 from .devices import Objective
 from .options import OptionError
 
-DEMO_DEVICES = [("Camera", "DCam"), ("XY", "DXYStage"), ("Z", "DStage"), ("Objective", "DObjective")]
+# The camera says that it is simulated. It looks for the stages by these names of theirs.
+CAMERA, XY, Z = "simulated camera", "XY", "Z"
+DEMO_DEVICES = [(CAMERA, "DCam"), (XY, "DXYStage"), (Z, "DStage"), ("Objective", "DObjective")]
 
 SAMPLE_OBJECTIVES = [
     Objective("10x", 10, 0.3, 1.0),
@@ -36,9 +38,9 @@ def _load(core: Any) -> None:
     for label, device in DEMO_DEVICES:
         core.loadDevice(label, "DemoCamera", device)
     core.initializeAllDevices()
-    core.setCameraDevice("Camera")
-    core.setXYStageDevice("XY")
-    core.setFocusDevice("Z")
+    core.setCameraDevice(CAMERA)
+    core.setXYStageDevice(XY)
+    core.setFocusDevice(Z)
 
 
 def _set_defaults(options: argparse.Namespace, half_width_um: float, exposure_ms: tuple[float, float]) -> None:
@@ -60,7 +62,7 @@ def load_beads(options: argparse.Namespace) -> Any:
 
     core = pymmcore.CMMCore()
     _load(core)
-    core.setProperty("Camera", "Mode", "Fluorescent Beads")
+    core.setProperty(CAMERA, "Mode", "Fluorescent Beads")
     core.setExposure(20.0)
     _set_defaults(options, 10000.0, (1.0, 5000.0))
     if not options.objective:
@@ -81,8 +83,8 @@ def load_sample(options: argparse.Namespace, until_the_end: ExitStack) -> Any:
     core = CMMCorePlus()
     _load(core)
     # The Sample takes brightness and noise from these properties.
-    core.setProperty("Camera", "Photon Flux", 4000)
-    core.setProperty("Camera", "Gain", 0)
+    core.setProperty(CAMERA, "Photon Flux", 4000)
+    core.setProperty(CAMERA, "Gain", 0)
     core.setExposure(50.0)
     for state, objective in enumerate(SAMPLE_OBJECTIVES):
         core.defineStateLabel("Objective", state, objective.id)

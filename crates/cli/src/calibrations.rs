@@ -8,17 +8,22 @@ use crate::output::{calibration as calibration_json, changes_in_words};
 use scopeservo_library::{CalibrationFile, Calibrations as _, KeptCalibration};
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{Calibration, changes_between};
+use scopeservo_setup::Config;
 use serde_json::json;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 pub(crate) fn run(args: &CalibrationsArgs, answer: &Answer) -> Result<bool, CliError> {
     let history = library_of(&args.kept.description, answer)?.calibration_history()?;
+    let own = Config::read(&args.kept.description.config)?.name;
     answer.put(json!({"history": []}));
     let wanted = |id: &ObjectiveId| args.objective.as_ref().is_none_or(|o| *o == id.0);
     let mut shown = 0;
     for files in history {
-        let last = files.len();
-        let mut before: Option<KeptCalibration> = None;
+        let is_own = |file: &CalibrationFile| file.kept.as_ref().map_or(true, |k| k.is_of(&own));
+        let in_use = files.iter().rposition(is_own);
+        // Of each instrument.
+        let mut before: BTreeMap<String, KeptCalibration> = BTreeMap::new();
         for (k, CalibrationFile { path, kept }) in files.into_iter().enumerate() {
             // One that is damaged does not keep the others away.
             let Some(kept) = answer.or_warn(kept) else {
@@ -27,8 +32,14 @@ pub(crate) fn run(args: &CalibrationsArgs, answer: &Answer) -> Result<bool, CliE
             if !wanted(&kept.calibration.objective) {
                 continue;
             }
-            show(answer, (&path, &kept), before.as_ref(), k + 1 == last);
-            before = Some(kept);
+            let former = before.get(&kept.instrument);
+            let is_first = before.is_empty();
+            let is_in_use = in_use == Some(k);
+            show(answer, (&path, &kept), (former, is_first), is_in_use);
+            if !kept.is_of(&own) {
+                say!(answer, "      of '{}'", kept.instrument);
+            }
+            before.insert(kept.instrument.clone(), kept);
             shown += 1;
         }
     }
@@ -41,11 +52,11 @@ pub(crate) fn run(args: &CalibrationsArgs, answer: &Answer) -> Result<bool, CliE
 fn show(
     answer: &Answer,
     (path, kept): (&Path, &KeptCalibration),
-    before: Option<&KeptCalibration>,
+    (before, is_first): (Option<&KeptCalibration>, bool),
     in_use: bool,
 ) {
     let calibration = &kept.calibration;
-    if before.is_none() {
+    if is_first {
         say!(answer, "{}", calibration.objective);
     }
     let changes = before.and_then(|b| changes_between(&b.calibration, calibration));

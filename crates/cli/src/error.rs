@@ -133,6 +133,7 @@ pub(crate) enum Code {
     NotKept,
     ObjectivesDisagree,
     ForeignTarget,
+    NobodysCalibration,
     Interrupted,
     Fault,
     Internal,
@@ -168,6 +169,7 @@ impl Code {
             Self::NotKept
             | Self::ObjectivesDisagree
             | Self::ForeignTarget
+            | Self::NobodysCalibration
             | Self::Blurred
             | Self::Interrupted
             | Self::Fault
@@ -239,14 +241,18 @@ fn library_code(error: &LibraryError) -> Code {
         | LibraryError::Taken { .. }
         | LibraryError::NoTarget { .. }
         | LibraryError::NotInBin { .. }
+        | LibraryError::NoPicture { .. }
+        | LibraryError::TooManyPictures { .. }
         | LibraryError::NoRun { .. } => Code::Usage,
         LibraryError::CannotWrite { .. } | LibraryError::NetworkDrive { .. } => Code::CannotWrite,
-        LibraryError::Busy { .. } => Code::InUse,
+        LibraryError::Busy { .. } | LibraryError::InUse { .. } => Code::InUse,
         LibraryError::NotKept { .. } => Code::NotKept,
         LibraryError::Read { .. } | LibraryError::Newer { .. } => Code::CannotRead,
         LibraryError::Damaged { .. }
         | LibraryError::DamagedCalibration { .. }
+        | LibraryError::NoSums { .. }
         | LibraryError::DamagedJournal { .. } => Code::Damaged,
+        LibraryError::NobodysCalibration { .. } => Code::NobodysCalibration,
         _ => Code::Internal,
     }
 }

@@ -80,14 +80,33 @@ pub(crate) fn back_up(args: &LibraryBackupArgs, answer: &Answer) -> Result<bool,
 pub(crate) fn restore(args: &LibraryRestoreArgs, answer: &Answer) -> Result<bool, CliError> {
     let config = Config::read(&args.kept.description.config)?;
     let folder = config.resolve(&config.data_folder);
-    let files = unpack(&args.file, &folder)?;
-    answer.put(json!({"folder": folder.to_string_lossy(), "files": files}));
+    let brought = unpack(&args.file, &folder, args.without_sums)?;
+    let files = brought.objects;
+    answer.put(json!({
+        "folder": folder.to_string_lossy(),
+        "files": files,
+        "missing": brought.missing,
+        "summed": brought.summed,
+    }));
     say!(
         answer,
         "the library is in {}, with {files} files",
         folder.display()
     );
-    Ok(true)
+    if !brought.summed {
+        say!(
+            answer,
+            "the backup told no sums: nobody knows whether all that was in it is there"
+        );
+    }
+    if !brought.missing.is_empty() {
+        let what = format!(
+            "{} files are not in the backup, of which the library knows: scopeservo library check tells whose they are",
+            brought.missing.len()
+        );
+        answer.warn(Code::Damaged, what);
+    }
+    Ok(brought.missing.is_empty())
 }
 
 pub(crate) fn export(args: &LibraryExportArgs, answer: &Answer) -> Result<bool, CliError> {

@@ -200,6 +200,13 @@ pub(crate) struct Ran<T> {
 }
 
 impl<T> Ran<T> {
+    /// Keeps what the view looked like at arrival.
+    pub(crate) fn arrived(&mut self, seen: Option<Vec<u8>>, answer: &Answer) {
+        if let Some(seen) = seen {
+            answer.or_warn(self.record.arrived(&seen));
+        }
+    }
+
     /// Keeps the answer as it stands, and the page, with the record of the run.
     pub(crate) fn end(self, page: Option<&str>, answer: &Answer) -> Result<T, CliError> {
         let object = match &self.output {

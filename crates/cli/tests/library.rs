@@ -3,6 +3,7 @@
 mod common;
 
 use common::{code, describe, json, ok, scopeservo, stderr};
+use scopeservo_library::{Database, RunHead, Runs as _};
 use serde_json::Value;
 use std::fs;
 
@@ -222,4 +223,81 @@ fn targets_are_told_apart_by_slide_and_note_and_are_gone_for_good_only_when_that
         ok(here, &["library", "check", "--json"])["litter"],
         serde_json::json!([])
     );
+}
+
+/// Several programs with one library: what one is at no other takes away.
+#[test]
+fn what_a_run_of_another_program_goes_to_is_not_taken_away() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    describe(here, BY_HAND);
+    ok(here, &["target", "save", "spot", "--json"]);
+    let library = Database::new(here.join("scopeservo-data"));
+    let begin = || {
+        let head = RunHead {
+            job: "reposition".into(),
+            instrument: "test bench".into(),
+            version: String::new(),
+            inputs: serde_json::json!({"name": "spot"}),
+        };
+        library.begin_run(&head).unwrap()
+    };
+    let refused = |args: &[&str]| {
+        let said = scopeservo(here, args);
+        assert_eq!(code(&said), 3, "{}", stderr(&said));
+        let error = json(&said)["error"].clone();
+        assert_eq!(error["code"], "in_use", "{error}");
+        let message = error["message"].as_str().unwrap();
+        assert!(message.contains("a run with it is under way"), "{message}");
+    };
+    let run = begin();
+    refused(&["target", "remove", "spot", "--json"]);
+    refused(&["target", "rename", "spot", "else", "--json"]);
+    drop(run);
+    ok(here, &["target", "remove", "spot", "--json"]);
+    let run = begin();
+    refused(&["target", "purge", "spot", "--json"]);
+    refused(&["target", "purge", "--all", "--json"]);
+    drop(run);
+    let purged = ok(here, &["target", "purge", "spot", "--json"]);
+    assert_eq!(purged["purged"][0]["name"], "spot");
+}
+
+#[test]
+fn a_backup_that_ends_early_is_brought_back_only_when_that_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    describe(here, BY_HAND);
+    ok(here, &["target", "save", "spot", "--json"]);
+    ok(here, &["library", "backup", "all.tar", "--json"]);
+    let again = |what: &str, args: &[&str]| {
+        let there = tempfile::tempdir().unwrap();
+        describe(there.path(), BY_HAND);
+        let file = here.join(what);
+        let restore = ["library", "restore", file.to_str().unwrap(), "--json"];
+        let said = scopeservo(there.path(), &[&restore[..], args].concat());
+        let is_there = there
+            .path()
+            .join("scopeservo-data")
+            .join("library.sqlite3")
+            .exists();
+        (code(&said), json(&said), is_there)
+    };
+    let (exit, said, is_there) = again("all.tar", &[]);
+    assert_eq!((exit, &said["summed"], is_there), (0, &true.into(), true));
+    // Cut before its last member, the sums: two blocks and what fills up.
+    let bytes = fs::read(here.join("all.tar")).unwrap();
+    let name = b"SHA256SUMS";
+    let end = bytes.windows(name.len()).rposition(|w| w == name).unwrap();
+    fs::write(here.join("cut.tar"), &bytes[..end]).unwrap();
+    let (exit, said, is_there) = again("cut.tar", &[]);
+    assert_eq!((exit, is_there), (2, false));
+    assert_eq!(said["error"]["code"], "damaged");
+    let message = said["error"]["message"].as_str().unwrap();
+    assert!(message.contains("--without-sums"), "{message}");
+    let (exit, said, is_there) = again("cut.tar", &["--without-sums"]);
+    assert_eq!((exit, &said["summed"], is_there), (0, &false.into(), true));
+    fs::write(here.join("cut.tar"), &bytes[..end - 700]).unwrap();
+    let (exit, said, is_there) = again("cut.tar", &["--without-sums"]);
+    assert_eq!((exit, is_there), (2, false), "{said}");
 }

@@ -17,7 +17,8 @@ pub struct KeptCalibration {
     pub schema: u32,
     /// When, UTC.
     pub made: String,
-    /// The instrument's name.
+    /// The instrument's name; empty where an earlier version did not say.
+    #[serde(default)]
     pub instrument: String,
     /// The calibration.
     pub calibration: Calibration,
@@ -25,6 +26,13 @@ pub struct KeptCalibration {
     pub focus_z_um: Option<f64>,
     /// Root mean square residual of its views.
     pub residual_px: Option<f64>,
+}
+
+impl KeptCalibration {
+    /// Whether it counts for this instrument: its own, or one of which nobody knows whose it is.
+    pub fn is_of(&self, instrument: &str) -> bool {
+        self.instrument == instrument || self.instrument.is_empty()
+    }
 }
 
 /// Whether a calibration can be one of this objective on a stage that goes so far: by the rules that a new one must pass.
@@ -72,24 +80,30 @@ pub struct CalibrationFile {
 
 /// The calibrations of an instrument.
 pub trait Calibrations {
-    /// The newest calibration of an objective on a stage whose axes go so far. One that is damaged is none: an error tells which, what to do, and
-    /// which older one could be used; other objectives are as they were.
+    /// The newest calibration of an objective of this instrument, on a stage whose axes go so far: what another instrument with the same library
+    /// measured counts for nothing. One that is damaged is none: an error tells which, what to do, and which older one could be used; other
+    /// objectives are as they were.
     ///
     /// # Errors
     /// [`LibraryError::Read`] for a folder, [`LibraryError::DamagedCalibration`].
     fn calibration(
         &self,
+        instrument: &str,
         objective: &Objective,
         ranges: &[AxisRange],
     ) -> Result<Option<KeptCalibration>, LibraryError>;
 
-    /// Where the newest calibration of an objective lies.
+    /// Where the newest calibration of an objective of this instrument lies.
     ///
     /// # Errors
     /// [`LibraryError::Read`].
-    fn calibration_path(&self, objective: &ObjectiveId) -> Result<Option<PathBuf>, LibraryError>;
+    fn calibration_path(
+        &self,
+        instrument: &str,
+        objective: &ObjectiveId,
+    ) -> Result<Option<PathBuf>, LibraryError>;
 
-    /// All calibrations that are kept, objective by objective, the oldest first: the newest counts. One that is damaged does not keep the others
+    /// All calibrations that are kept, objective by objective, the oldest first: the newest of an instrument counts for it. One that is damaged does not keep the others
     /// away.
     ///
     /// # Errors
@@ -156,27 +170,41 @@ pub(crate) fn judged(
     Ok(kept)
 }
 
-/// The newest of files that can be a calibration of this objective, of which the last is the newest; an error tells which could be used instead.
+/// The newest of files that can be a calibration of this objective of this instrument, of which the last is the newest; an error tells which
+/// could be used instead.
 pub(crate) fn newest(
-    mut files: Vec<PathBuf>,
+    files: Vec<PathBuf>,
     open: impl Fn(&Path) -> Result<KeptCalibration, LibraryError>,
+    instrument: &str,
     objective: &Objective,
     ranges: &[AxisRange],
 ) -> Result<Option<KeptCalibration>, LibraryError> {
-    let Some(path) = files.pop() else {
+    // One that is damaged does not say whose it is.
+    let own = |path: &PathBuf| match open(path) {
+        Ok(kept) if !kept.is_of(instrument) => None,
+        kept => Some(judged(kept, objective, ranges)),
+    };
+    let mut files = files.into_iter().rev();
+    let Some((path, kept)) = files.find_map(|path| own(&path).map(|kept| (path, kept))) else {
         return Ok(None);
     };
-    let what = match judged(open(&path), objective, ranges) {
-        Ok(kept) => return Ok(Some(kept)),
-        Err(what) => what,
-    };
-    let is_sound = |path: &PathBuf| judged(open(path), objective, ranges).is_ok();
-    Err(LibraryError::DamagedCalibration {
-        path,
-        what,
-        objective: objective.id.0.clone(),
-        before: files.into_iter().rev().find(is_sound),
-    })
+    kept.map(Some)
+        .map_err(|what| LibraryError::DamagedCalibration {
+            path,
+            what,
+            objective: objective.id.0.clone(),
+            before: files.find(|path| own(path).is_some_and(|kept| kept.is_ok())),
+        })
+}
+
+/// Where the newest of files lies that is one of this instrument, or that is damaged.
+pub(crate) fn newest_path(
+    files: Vec<PathBuf>,
+    open: impl Fn(&Path) -> Result<KeptCalibration, LibraryError>,
+    instrument: &str,
+) -> Option<PathBuf> {
+    let own = |path: &PathBuf| open(path).map_or(true, |kept| kept.is_of(instrument));
+    files.into_iter().rev().find(own)
 }
 
 /// A calibration from now on.
@@ -199,15 +227,21 @@ pub(crate) fn kept_now(
 impl Calibrations for Folder {
     fn calibration(
         &self,
+        instrument: &str,
         objective: &Objective,
         ranges: &[AxisRange],
     ) -> Result<Option<KeptCalibration>, LibraryError> {
         let files = in_order(&self.calibrations_of(&objective.id))?;
-        newest(files, read, objective, ranges)
+        newest(files, read, instrument, objective, ranges)
     }
 
-    fn calibration_path(&self, objective: &ObjectiveId) -> Result<Option<PathBuf>, LibraryError> {
-        Ok(in_order(&self.calibrations_of(objective))?.pop())
+    fn calibration_path(
+        &self,
+        instrument: &str,
+        objective: &ObjectiveId,
+    ) -> Result<Option<PathBuf>, LibraryError> {
+        let files = in_order(&self.calibrations_of(objective))?;
+        Ok(newest_path(files, read, instrument))
     }
 
     fn calibration_history(&self) -> Result<Vec<Vec<CalibrationFile>>, LibraryError> {
@@ -275,7 +309,7 @@ mod tests {
     fn the_newest_calibration_counts_and_the_older_ones_stay() {
         let dir = tempfile::tempdir().unwrap();
         let folder = Folder::new(dir.path().join("data"));
-        let newest = || folder.calibration(&objective(), &[]);
+        let newest = || folder.calibration("lab", &objective(), &[]);
         assert_eq!(newest().unwrap(), None);
         let z = Some(Length::from_um(-12.5));
         // One from before files were numbered, and from a clock that was ahead; and one with a number that cannot be counted on from.
@@ -358,7 +392,10 @@ mod tests {
             fs::create_dir_all(&stray).unwrap();
             fs::write(stray.join("000009_x.json"), text).unwrap();
         }
-        let newest = folder.calibration(&objective(), &[]).unwrap().unwrap();
+        let newest = folder
+            .calibration("lab", &objective(), &[])
+            .unwrap()
+            .unwrap();
         assert_eq!(newest.calibration, calibration(0.2));
         let all = folder.calibration_history().unwrap();
         let sound = all.iter().flatten().filter(|f| f.kept.is_ok()).count();

@@ -1,5 +1,6 @@
 //! What can go wrong with what is kept.
 
+use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
@@ -28,6 +29,14 @@ pub enum LibraryError {
         known: Vec<String>,
         /// How many more there are.
         more: usize,
+    },
+    /// A run goes to it, or waits to go on with it.
+    #[error("'{name}' stays as it is: {by}")]
+    InUse {
+        /// The target.
+        name: String,
+        /// What needs it.
+        by: Use,
     },
     /// A folder takes no files. Found before anything was done for them.
     #[error(
@@ -105,11 +114,41 @@ pub enum LibraryError {
         /// What drive.
         kind: String,
     },
+    /// A backup without the sums of what is in it.
+    #[error(
+        "{path} does not tell the sums of what is in it: it ends early, or an earlier version wrote it. Take another backup; one of an earlier version is brought back as it is with scopeservo library restore --without-sums"
+    )]
+    NoSums {
+        /// The archive.
+        path: PathBuf,
+    },
+    /// A calibration of which nobody knows whose it is.
+    #[error(
+        "the calibration of {objective} does not say on which instrument it was made: it counts as one of '{instrument}'. Calibrate again where it is not"
+    )]
+    NobodysCalibration {
+        /// The objective.
+        objective: String,
+        /// The instrument that takes it for its own.
+        instrument: String,
+    },
     /// None of that name lies in the bin.
     #[error("no target '{name}' lies in the bin: scopeservo target bin tells which do")]
     NotInBin {
         /// The name.
         name: String,
+    },
+    /// There is no picture of that name.
+    #[error("there is no picture '{name}'")]
+    NoPicture {
+        /// The name.
+        name: String,
+    },
+    /// So many pictures are kept already.
+    #[error("there are {most} pictures already: remove one first")]
+    TooManyPictures {
+        /// So many at most.
+        most: usize,
     },
     /// There is no run of that name.
     #[error("there is no run '{id}': scopeservo run list tells which there are")]
@@ -128,6 +167,26 @@ pub enum LibraryError {
     /// Something could not be made into a file: a mistake of ours.
     #[error("a file could not be made: {0}")]
     Encode(String),
+}
+
+/// What needs a target as it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Use {
+    /// A run under way, of this program or another.
+    Run,
+    /// One whose program was killed, and that may go on.
+    Left,
+}
+
+impl fmt::Display for Use {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Run => "a run with it is under way. Wait until that has ended, or stop it",
+            Self::Left => {
+                "a run to it was under way when its program ended. Go on with it by scopeservo resume, or end it by scopeservo abandon"
+            }
+        })
+    }
 }
 
 fn known_names(known: &[String], more: usize) -> String {

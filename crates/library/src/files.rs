@@ -175,7 +175,7 @@ fn is_abandoned(path: &Path) -> bool {
 }
 
 /// Names reach the disk with their folder. Not every file system can do that, and the file is there all the same.
-fn sync(folder: &Path) {
+pub(crate) fn sync(folder: &Path) {
     #[cfg(unix)]
     let _ = File::open(folder).and_then(|folder| folder.sync_all());
     #[cfg(not(unix))]

@@ -118,6 +118,17 @@ impl Folder {
     fn journal_of(&self, instrument: &str) -> PathBuf {
         self.path().join("journal").join(file_name(instrument))
     }
+
+    /// Name and id of the targets of all jobs that are under way or were left, of whatever instrument. A journal that cannot be read tells none.
+    pub(crate) fn journalled_targets(&self) -> Vec<[String; 2]> {
+        let all = crate::folder::entries(&self.path().join("journal")).unwrap_or_default();
+        // What was put aside is nobody's any more.
+        let all = all
+            .into_iter()
+            .filter(|folder| folder.extension().is_none());
+        let head = |folder: PathBuf| read::<Kept<JournalHead>>(&folder.join("head.json")).ok();
+        all.filter_map(|folder| head(folder)?.what.target).collect()
+    }
 }
 
 impl Journal for Folder {

@@ -23,10 +23,11 @@ mod targets;
 pub use calibrations::{CalibrationFile, Calibrations, KeptCalibration};
 pub use cameras::Cameras;
 pub use database::{
-    BackedUp, Checked, Database, Exported, FRAMES_BYTES, Fault, Purged, Rebuilt, RunQuery, RunRow,
-    SlideRow, TargetQuery, TargetRow, restore,
+    BackedUp, Chance, Checked, Database, Exported, FRAMES_BYTES, Fault, NewPicture, PICTURES,
+    PictureRow, Purged, Rebuilt, Restored, RunQuery, RunRow, SlideRow, TargetQuery, TargetRow,
+    restore,
 };
-pub use error::LibraryError;
+pub use error::{LibraryError, Use};
 pub use folder::{Folder, keep_new};
 pub use journal::{Journal, JournalHead, JournalStep, Journalled};
 pub use names::{check_slide, utc};

@@ -128,14 +128,14 @@ pub trait Targets {
     /// Gives a target another name. Whenever a program is killed meanwhile it is there under one of the two, or under both.
     ///
     /// # Errors
-    /// [`LibraryError::NoTarget`], [`LibraryError::Taken`], [`LibraryError::BadName`], [`LibraryError::Read`], [`LibraryError::NotKept`]. A
-    /// damaged one keeps its name, so that what is left of it is not lost track of.
+    /// [`LibraryError::NoTarget`], [`LibraryError::Taken`], [`LibraryError::BadName`], [`LibraryError::Read`], [`LibraryError::NotKept`],
+    /// [`LibraryError::InUse`]. A damaged one keeps its name, so that what is left of it is not lost track of.
     fn rename_target(&self, name: &str, to: &str) -> Result<PathBuf, LibraryError>;
 
     /// Puts a target into the bin, from which it can be taken back. Returns where its file lies.
     ///
     /// # Errors
-    /// [`LibraryError::NoTarget`], [`LibraryError::BadName`], [`LibraryError::NotKept`].
+    /// [`LibraryError::NoTarget`], [`LibraryError::BadName`], [`LibraryError::NotKept`], [`LibraryError::InUse`].
     fn remove_target(&self, name: &str) -> Result<PathBuf, LibraryError>;
 
     /// Writes a target into a file of its own, which any library can take in; never over another file.

@@ -112,7 +112,8 @@ fn nothing_that_was_acknowledged_is_lost_when_programs_are_killed() {
                 );
             }
             "calibration" => {
-                let path = library.calibration_path(&scopeservo_scope::ObjectiveId(name.into()));
+                let path =
+                    library.calibration_path("lab", &scopeservo_scope::ObjectiveId(name.into()));
                 assert!(path.unwrap().is_some(), "{what}");
             }
             _ => {}

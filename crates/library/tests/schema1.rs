@@ -78,6 +78,9 @@ fn a_calibration_of_the_first_version_counts() {
         nominal_um_per_px: 0.51,
         immersion: Immersion::Air,
     };
-    let kept = library.calibration(&objective, &[]).unwrap().unwrap();
+    let kept = library
+        .calibration("test bench", &objective, &[])
+        .unwrap()
+        .unwrap();
     assert!((kept.calibration.um_per_px() - 0.5114).abs() < 1e-3);
 }

@@ -91,7 +91,10 @@ fn is_whole(library: &Database, before: [&scopeservo_library::KeptTarget; 2]) {
             .count(),
         2
     );
-    let newest = library.calibration(&objective(), &[]).unwrap().unwrap();
+    let newest = library
+        .calibration("Bench 1", &objective(), &[])
+        .unwrap()
+        .unwrap();
     assert_eq!(newest.calibration, calibration("Plan 40x/0.65", 0.2));
     assert_eq!(library.calibration_history().unwrap()[0].len(), 2);
     assert!(library.calibration_set("Bench 1").unwrap().is_some());
@@ -175,7 +178,10 @@ fn what_is_damaged_is_told_by_name_and_does_not_keep_the_rest_away() {
         folder.target("first").unwrap(),
     );
     fs::write(dir.path().join("targets/half.target"), "half a file").unwrap();
-    let newest = folder.calibration_path(&objective().id).unwrap().unwrap();
+    let newest = folder
+        .calibration_path("Bench 1", &objective().id)
+        .unwrap()
+        .unwrap();
     fs::write(newest.with_file_name("000003_x.json"), "{").unwrap();
     let run = dir.path().join("runs/000009_x");
     fs::create_dir_all(&run).unwrap();

@@ -187,17 +187,10 @@ impl Link {
         wait: &Wait<'_>,
     ) -> Result<Reply, CallError> {
         let shared = &*self.shared;
-        let id = shared.next.fetch_add(1, Ordering::SeqCst);
         let (answer, reply) = sync_channel(1);
-        {
-            let mut state = lock(&shared.state);
-            if let Some(reason) = &state.lost {
-                return Err(CallError::Lost(reason.clone()));
-            }
-            state.waiting.insert(id, Waiting { bytes, answer });
-        }
         let name = name_of(&call);
-        if let Err(error) = shared.write(&Request { id, call }) {
+        let written = shared.write(call, Waiting { bytes, answer });
+        if let Err(error) = written.map_err(CallError::Lost)? {
             shared.close(&format!("nothing can be written to it: {error}"));
         }
         let start = Instant::now();
@@ -262,11 +255,22 @@ fn name_of(call: &Call) -> String {
 }
 
 impl Shared {
-    fn write(&self, request: &Request) -> std::io::Result<()> {
-        match &mut *lock(&self.out) {
-            Some(out) => wire::write(out, request, &[]),
-            None => Err(std::io::ErrorKind::BrokenPipe.into()),
+    /// Writes a request, whose answer is waited for from then on; or the reason why the driver is gone. Numbers rise in the order in which they
+    /// are written, whoever asks at the same time: a driver refuses one that does not, were it a stop.
+    fn write(&self, call: Call, waiting: Waiting) -> Result<std::io::Result<()>, String> {
+        let mut out = lock(&self.out);
+        let id = self.next.fetch_add(1, Ordering::SeqCst);
+        {
+            let mut state = lock(&self.state);
+            if let Some(reason) = &state.lost {
+                return Err(reason.clone());
+            }
+            state.waiting.insert(id, waiting);
         }
+        Ok(match &mut *out {
+            Some(out) => wire::write(out, &Request { id, call }, &[]),
+            None => Err(std::io::ErrorKind::BrokenPipe.into()),
+        })
     }
 
     fn reason(&self) -> String {

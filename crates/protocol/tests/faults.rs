@@ -766,3 +766,36 @@ fn what_a_driver_started_ends_with_it() {
         assert!(alive(&numbers).0 > 0, "{name}");
     }
 }
+
+/// A driver refuses a request whose number is not larger than those before, as the page says; were it a stop, the stage would go on.
+#[test]
+fn numbers_rise_as_they_are_written_whoever_asks_at_the_same_time() {
+    let answer: Odd = |line, stream| {
+        let reply = format!(
+            "{{\"id\":{},\"ok\":true,\"x_um\":1,\"motion\":\"settled\"}}\n",
+            id(line)
+        );
+        stream.write_all(reply.as_bytes()).map(|()| true)
+    };
+    let (address, told) = peer(HELLO, answer);
+    let devices = devices(&address);
+    let stage = devices.stage.as_deref().unwrap();
+    std::thread::scope(|threads| {
+        for k in 0..8 {
+            threads.spawn(move || {
+                for _ in 0..150 {
+                    match k % 3 {
+                        0 => drop(stage.position()),
+                        1 => drop(stage.poll()),
+                        _ => drop(stage.stop()),
+                    }
+                }
+            });
+        }
+    });
+    drop(devices);
+    let all: Vec<u64> = told.iter().map(|line| id(&line)).collect();
+    assert!(all.len() > 1200, "{}", all.len());
+    let odd = all.windows(2).find(|pair| pair[0] >= pair[1]);
+    assert_eq!(odd, None);
+}

@@ -96,6 +96,12 @@ impl Picture {
     }
 }
 
+impl Jpeg {
+    pub(crate) fn into_bytes(self) -> Vec<u8> {
+        self.bytes.to_vec()
+    }
+}
+
 /// Every image of the page, embedded once and drawn wherever it is needed.
 #[derive(Debug, Default)]
 pub(crate) struct Gallery {

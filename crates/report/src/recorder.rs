@@ -48,6 +48,12 @@ impl Recorder {
         &self.events
     }
 
+    /// The newest view of the servo as a JPEG: what was seen at arrival, of a run that arrived.
+    pub fn last_seen(&self) -> Option<Vec<u8>> {
+        let (_, _, picture) = self.view.as_ref()?;
+        picture.jpeg().map(|jpeg| jpeg.into_bytes())
+    }
+
     pub(crate) fn target(&self) -> Option<&Picture> {
         self.target.as_ref()
     }

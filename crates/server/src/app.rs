@@ -61,6 +61,12 @@ pub(crate) struct App {
 pub(crate) struct Demo {
     /// Whether the slide lies where it lay at first.
     pub(crate) is_moved: AtomicBool,
+    /// The picture that somebody brought and that lies there now.
+    pub(crate) picture: Mutex<Option<String>>,
+    /// So long a picture may take to come.
+    pub(crate) patience: Duration,
+    /// Pictures that come.
+    pub(crate) coming: Semaphore,
     /// How often it was taken out.
     pub(crate) times: Mutex<u64>,
 }

@@ -91,7 +91,12 @@ fn followed(app: &App, mut task: Task, job: Job<Done>) {
     if let (Value::Object(answer), false) = (&mut answer, task.warnings.is_empty()) {
         answer.insert("warnings".into(), json!(task.warnings));
     }
-    let run = task.record.map(|record| {
+    let seen = (answer["verdict"] == "arrived").then(|| recorder.last_seen());
+    let run = task.record.map(|mut record| {
+        if let Some(seen) = seen.flatten() {
+            // Without a picture it has arrived all the same.
+            let _ = record.arrived(&seen);
+        }
         let run = record.id().map(str::to_owned);
         let told = match &error {
             None => answer.clone(),

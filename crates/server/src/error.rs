@@ -170,8 +170,11 @@ impl From<LibraryError> for ApiError {
         let (status, code) = match &error {
             LibraryError::BadName(_) => (StatusCode::BAD_REQUEST, "bad_name"),
             LibraryError::Taken { .. } => (StatusCode::CONFLICT, "taken"),
+            LibraryError::InUse { .. } => (StatusCode::CONFLICT, "in_use"),
             LibraryError::NoTarget { .. } => (StatusCode::NOT_FOUND, "no_target"),
             LibraryError::NotInBin { .. } => (StatusCode::NOT_FOUND, "not_in_bin"),
+            LibraryError::NoPicture { .. } => (StatusCode::NOT_FOUND, "no_picture"),
+            LibraryError::TooManyPictures { .. } => (StatusCode::CONFLICT, "too_many_pictures"),
             LibraryError::NoRun { .. } => (StatusCode::NOT_FOUND, "no_run"),
             LibraryError::Busy { .. } => (StatusCode::SERVICE_UNAVAILABLE, "busy"),
             LibraryError::CannotWrite { .. } | LibraryError::NotKept { .. } => {

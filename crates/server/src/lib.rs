@@ -29,6 +29,7 @@ mod need;
 mod page;
 mod peer;
 mod people;
+mod pictures;
 mod random;
 mod routes;
 mod seat;

@@ -12,6 +12,8 @@ pub struct Limits {
     pub requests_at_once: f64,
     /// So many connections of one address that is no proxy and not this computer's.
     pub connections: usize,
+    /// So long a picture may take to come.
+    pub picture_patience: Duration,
 }
 
 impl Default for Limits {
@@ -21,6 +23,7 @@ impl Default for Limits {
             requests_per_s: 200.0,
             requests_at_once: 1000.0,
             connections: 64,
+            picture_patience: Duration::from_secs(60),
         }
     }
 }

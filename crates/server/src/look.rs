@@ -86,6 +86,7 @@ pub(crate) fn told(standing: &Standing, app: &App, caller: &Caller) -> Value {
         "revision": app.revision.load(Ordering::SeqCst),
         "elsewhere_s": app.elsewhere_for().map(|left| left.as_secs_f64()),
         "demo": app.demo.as_ref().map(|demo| json!({
+            "picture": *crate::lock(&demo.picture),
             "slide": if demo.is_moved.load(Ordering::SeqCst) { "moved" } else { "in" },
         })),
     })

@@ -322,6 +322,9 @@ pub(crate) fn app(
     let log = (!settings.demo).then(|| settings.folder.join("moved.jsonl"));
     let demo = settings.demo.then(|| Demo {
         is_moved: AtomicBool::new(false),
+        picture: Mutex::default(),
+        patience: settings.limits.picture_patience,
+        coming: Semaphore::new(crate::pictures::COMING),
         times: Mutex::new(0),
     });
     Ok(App {

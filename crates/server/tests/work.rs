@@ -3,8 +3,21 @@
 mod common;
 
 use common::{Bench, HURRIED, PATIENCE, REAL};
+use scopeservo_library::{Database, RunHead, Runs as _};
 use serde_json::json;
 use std::time::{Duration, Instant};
+
+/// How much two pictures differ, mean levels of grey.
+fn away(one: &[u8], other: &[u8]) -> f64 {
+    let [one, other] = [one, other].map(|bytes| image::load_from_memory(bytes).unwrap().to_luma8());
+    assert_eq!(one.dimensions(), other.dimensions());
+    let sum: f64 = one
+        .iter()
+        .zip(other.iter())
+        .map(|(a, b)| f64::from(a.abs_diff(*b)))
+        .sum();
+    sum / one.len() as f64
+}
 
 #[test]
 fn a_view_is_saved_the_slide_is_moved_and_the_view_comes_back() {
@@ -65,6 +78,17 @@ fn a_view_is_saved_the_slide_is_moved_and_the_view_comes_back() {
             .unwrap()
             .contains("Back to mitosis-3")
     );
+    // With what was seen at arrival: the saved view, and the other runs have none.
+    assert_eq!(runs[0]["arrival"], true, "{runs}");
+    assert_eq!(older[0]["arrival"], false);
+    let seen = visitor.get(&format!("/api/v1/runs/{run}/arrival.jpg"));
+    assert_eq!(seen.header("content-type"), Some("image/jpeg"));
+    assert!(away(&seen.body, &image.body) < 12.0);
+    let none = visitor.get(&format!(
+        "/api/v1/runs/{}/arrival.jpg",
+        older[0]["id"].as_str().unwrap()
+    ));
+    assert_eq!(none.status, 404);
     let events = visitor.get(&format!("/api/v1/runs/{run}/events")).json();
     let is_iteration = |e: &serde_json::Value| e["event"] == "iteration";
     assert!(
@@ -90,6 +114,54 @@ fn a_view_is_saved_the_slide_is_moved_and_the_view_comes_back() {
         200
     );
     assert_eq!(visitor.get("/api/v1/targets").json(), json!([]));
+}
+
+/// A run of this program or of another: its target stays until it has ended.
+#[test]
+fn what_a_run_goes_to_cannot_be_taken_away_meanwhile() {
+    let bench = Bench::demo(HURRIED);
+    let visitor = bench.visitor();
+    let saved = visitor.run(&json!({"job": "save_target", "name": "spot", "focus": false}));
+    assert_eq!(saved["error"], json!(null), "{saved}");
+    let other = Database::new(bench.folder.path().join("scopeservo-data"));
+    let begin = || {
+        let head = RunHead {
+            job: "reposition".into(),
+            instrument: "another".into(),
+            version: String::new(),
+            inputs: json!({"name": "spot"}),
+        };
+        other.begin_run(&head).unwrap()
+    };
+    let refused = |method: &str, path: &str, body: &str| {
+        let said = visitor.with(method, path, &[], body);
+        assert_eq!((said.status, said.code().as_str()), (409, "in_use"));
+        let said = said.json();
+        assert_eq!(said["kind"], "refusal", "{said}");
+        let message = said["message"].as_str().unwrap();
+        assert!(
+            message.contains("'spot'") && message.contains("Wait"),
+            "{message}"
+        );
+    };
+    let run = begin();
+    refused("DELETE", "/api/v1/targets/spot", "");
+    refused("PATCH", "/api/v1/targets/spot", "{\"name\": \"m3\"}");
+    // What is said of it may change meanwhile.
+    let noted = visitor.with("PATCH", "/api/v1/targets/spot", &[], "{\"note\": \"seen\"}");
+    assert_eq!(noted.json()["note"], "seen");
+    drop(run);
+    let removed = visitor.with("DELETE", "/api/v1/targets/spot", &[], "");
+    assert_eq!(removed.status, 200);
+    let run = begin();
+    refused("DELETE", "/api/v1/bin/spot", "");
+    assert_eq!(
+        visitor.get("/api/v1/targets?bin=true").json()[0]["name"],
+        "spot"
+    );
+    drop(run);
+    let purged = visitor.with("DELETE", "/api/v1/bin/spot", &[], "").json();
+    assert_eq!(purged["purged"][0]["name"], "spot", "{purged}");
 }
 
 #[test]

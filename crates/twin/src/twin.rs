@@ -212,11 +212,11 @@ impl Twin {
             .remount(about_um, shift_um, rotation_deg.to_radians(), flipped, rise);
     }
 
-    /// Another specimen in the same place: another slide, or blank glass.
-    pub fn replace_specimen(&self, specimen: Arc<dyn Specimen>) {
+    /// Another specimen in the same place: another slide, or blank glass. Returns the one before.
+    pub fn replace_specimen(&self, specimen: Arc<dyn Specimen>) -> Arc<dyn Specimen> {
         let mut state = self.inner.state();
-        state.specimen = specimen;
         state.slide.effects = crate::slide::Effects::none();
+        std::mem::replace(&mut state.specimen, specimen)
     }
 
     /// Somebody cleans the camera's window: all dust goes.

@@ -11,10 +11,12 @@ mod journal;
 mod known;
 mod page;
 mod record;
+mod specimen;
 mod workbench;
 
 pub use console::{Console, Late, Told};
 pub use journal::{Asked, FileJournal, Made, contradiction, standing, what};
 pub use page::readable;
 pub use record::{RunRecord, label_of};
+pub use specimen::LayError;
 pub use workbench::{OpenError, Workbench};

@@ -30,7 +30,7 @@ impl Workbench {
     fn stored(&self) -> Vec<Stored> {
         let info = self.scope.camera().info();
         let fits = |kept: &KeptCalibration| {
-            kept.instrument == self.config.name
+            kept.is_of(&self.config.name)
                 && kept.calibration.image_size_px == [info.width, info.height]
         };
         let history = self.library.calibration_history().unwrap_or_default();

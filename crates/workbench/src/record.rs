@@ -57,6 +57,17 @@ impl RunRecord {
         }
     }
 
+    /// Keeps what the view looked like when the run arrived, beside its report; as long as there is room for such.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotKept`].
+    pub fn arrived(&mut self, seen: &[u8]) -> Result<(), LibraryError> {
+        match &mut self.log {
+            Some(log) => log.attach("arrival.jpg", seen),
+            None => Ok(()),
+        }
+    }
+
     /// By what it is asked for later, if it is kept.
     pub fn id(&self) -> Option<&str> {
         self.log.as_ref().map(|log| log.id())

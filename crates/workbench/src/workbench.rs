@@ -8,7 +8,8 @@ use scopeservo_servo::{Parcentric, SwitchingReport};
 use scopeservo_setup::{Config, Consent, Held, Opened, SetupError, connect};
 use scopeservo_station::{News, Record};
 use scopeservo_twin::Twin;
-use std::sync::Arc;
+use scopeservo_twin::specimen::Specimen;
+use std::sync::{Arc, Mutex};
 use thiserror::Error;
 
 /// What a front end works at.
@@ -27,6 +28,8 @@ pub struct Workbench {
     pub switchings: Vec<SwitchingReport>,
     /// The same by calibrations that were made together.
     pub parcentric: Vec<Parcentric>,
+    /// What lay under a simulated microscope at first, while something else does.
+    pub(crate) first_specimen: Mutex<Option<Arc<dyn Specimen>>>,
     /// Where the state of its jobs goes.
     pub journal: Arc<FileJournal>,
     /// Let go last.
@@ -80,6 +83,7 @@ impl Workbench {
             drivers,
             switchings,
             parcentric,
+            first_specimen: Mutex::default(),
             journal,
             _held: held,
         })

@@ -47,10 +47,14 @@ pub(crate) struct LibraryBackupArgs {
 #[command(after_help = "Examples:
   scopeservo library restore monday.tar
 
-The data folder must have no library: move one that is damaged away before.")]
+The data folder must have no library: move one that is damaged away before. The backup is held to the sums in it before anything is put in \
+place.")]
 pub(crate) struct LibraryRestoreArgs {
     /// A file that `library backup` wrote.
     pub(crate) file: PathBuf,
+    /// Also take one without sums: an earlier version wrote it, or it ends early.
+    #[arg(long)]
+    pub(crate) without_sums: bool,
     #[command(flatten)]
     pub(crate) kept: KeptArgs,
 }

@@ -111,7 +111,9 @@ fn all_made(opened: &OpenInstrument, output: &CalibrateOutput, now: &[Made]) -> 
         let made_now = now.iter().find(|made| made.calibration == *calibration);
         made_now.cloned().unwrap_or_else(|| {
             let objective = &calibration.calibration.objective;
-            let file = opened.library.calibration_path(objective);
+            let file = opened
+                .library
+                .calibration_path(&opened.config.name, objective);
             Made {
                 calibration: calibration.clone(),
                 file: file.ok().flatten(),

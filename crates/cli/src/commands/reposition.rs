@@ -144,14 +144,17 @@ fn show(
 fn keep(
     opened: &OpenInstrument,
     name: &str,
-    ran: Ran<RepositionOutput>,
+    mut ran: Ran<RepositionOutput>,
     watcher: &Watcher,
     (servo, seconds): (&ServoOptions, f64),
     out: &Path,
     answer: &Answer,
 ) -> Result<bool, CliError> {
-    if ran.output.is_err() {
+    let Ok(output) = &ran.output else {
         return ran.end(None, answer).map(|_| false);
+    };
+    if output.outcome.verdict == Verdict::Arrived {
+        ran.arrived(watcher.recorder.last_seen(), answer);
     }
     let target = opened.library.target(name).map_or_else(
         |_| name.into(),

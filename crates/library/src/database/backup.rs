@@ -1,19 +1,14 @@
 //! The whole library as one file: a tar archive of the database as it is at one moment, and of the files beside it.
 
 use crate::LibraryError;
-use crate::database::objects::Objects;
+use crate::database::archive::{DATABASE, SUMS, Summed, Sums, place, to_text};
 use crate::database::store::Database;
-use crate::files::{checksum, is_there, make_folder};
+use crate::files::is_there;
 use rusqlite::Connection;
 use serde::Serialize;
-use std::fs::{self, File};
-use std::io::{self, Read};
+use std::fs::File;
+use std::io::{self, Read, Write};
 use std::path::Path;
-
-/// What the database is called in the archive.
-const DATABASE: &str = "library.sqlite3";
-/// The folder of the files beside.
-const OBJECTS: &str = "objects";
 
 /// What is in a backup.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
@@ -63,31 +58,28 @@ impl Database {
         let file = tempfile::Builder::new()
             .prefix(".scopeservo-backup-")
             .tempfile_in(folder);
-        let mut archive = tar::Builder::new(io::BufWriter::new(file.map_err(not_kept)?));
+        let mut archive = Archive::new(io::BufWriter::new(file.map_err(not_kept)?));
         let mut done = BackedUp::default();
         if copy.exists() {
-            archive
-                .append_path_with_name(&copy, DATABASE)
-                .map_err(not_kept)?;
+            let file = File::open(&copy).map_err(not_kept)?;
+            let length = file.metadata().map_err(not_kept)?.len();
+            archive.add(DATABASE, length, file).map_err(not_kept)?;
         }
         for (k, name) in objects.iter().enumerate() {
             progress(k, objects.len());
             match self.objects().get(name) {
                 Err(error) => done.missing.push(error.to_string()),
                 Ok(bytes) => {
-                    let mut header = tar::Header::new_ustar();
-                    header.set_size(bytes.len() as u64);
-                    header.set_mode(0o644);
-                    let place = format!("{OBJECTS}/{}/{name}", &name[..2]);
+                    let length = bytes.len() as u64;
                     archive
-                        .append_data(&mut header, place, bytes.as_slice())
+                        .add(&place(name), length, bytes.as_slice())
                         .map_err(not_kept)?;
                     done.objects += 1;
                 }
             }
         }
         progress(objects.len(), objects.len());
-        let file = archive.into_inner().map_err(not_kept)?;
+        let file = archive.end().map_err(not_kept)?;
         let file = file.into_inner().map_err(|e| not_kept(e.into_error()))?;
         file.as_file().sync_all().map_err(not_kept)?;
         done.bytes = file.as_file().metadata().map_err(not_kept)?.len();
@@ -96,67 +88,38 @@ impl Database {
     }
 }
 
-/// Unpacks a backup into a data folder that has no library yet. Returns how many files lie beside the database.
-///
-/// # Errors
-/// [`LibraryError::NotKept`] where there is one already; [`LibraryError::Damaged`] where the archive is none of ours, or a file in it is not
-/// what its name says: then nothing is there.
-pub fn restore(from: &Path, folder: &Path) -> Result<usize, LibraryError> {
-    let not_kept = |e: io::Error| LibraryError::not_kept(folder)(e);
-    let database = folder.join(DATABASE);
-    if is_there(&database) {
-        return Err(LibraryError::NotKept {
-            path: folder.into(),
-            what: "there is a library already; name a data_folder that has none, or move that one away".into(),
-        });
-    }
-    make_folder(folder).map_err(not_kept)?;
-    let objects = Objects::new(folder.join(OBJECTS));
-    let work = tempfile::Builder::new()
-        .prefix(".scopeservo-restore-")
-        .tempdir_in(folder);
-    let work = work.map_err(not_kept)?;
-    let bad = |what: &str| LibraryError::damaged(from, what);
-    let mut archive = tar::Archive::new(io::BufReader::new(
-        File::open(from).map_err(LibraryError::read(from))?,
-    ));
-    let mut count = 0;
-    for entry in archive.entries().map_err(LibraryError::read(from))? {
-        let mut entry = entry.map_err(|e| bad(&e.to_string()))?;
-        let name = entry
-            .path()
-            .map_err(|e| bad(&e.to_string()))?
-            .to_string_lossy()
-            .into_owned();
-        let mut bytes = Vec::new();
-        match name.as_str() {
-            DATABASE => {
-                let mut file = File::create(work.path().join(DATABASE)).map_err(not_kept)?;
-                io::copy(&mut entry, &mut file).map_err(not_kept)?;
-                file.sync_all().map_err(not_kept)?;
-            }
-            _ => {
-                entry
-                    .read_to_end(&mut bytes)
-                    .map_err(|e| bad(&e.to_string()))?;
-                let (sum, ending) = name
-                    .rsplit('/')
-                    .next()
-                    .and_then(|n| n.split_once('.'))
-                    .unwrap_or_default();
-                let is_its = name.starts_with("objects/") && sum == checksum(&bytes);
-                if !is_its || !ending.chars().all(|c| c.is_ascii_alphanumeric()) {
-                    return Err(bad(&format!("{name} is not what it was")));
-                }
-                objects.put(&bytes, ending)?;
-                count += 1;
-            }
+/// An archive that is written.
+struct Archive<W: Write> {
+    tar: tar::Builder<W>,
+    sums: Sums,
+}
+
+impl<W: Write> Archive<W> {
+    fn new(to: W) -> Self {
+        Self {
+            tar: tar::Builder::new(to),
+            sums: Sums::new(),
         }
     }
-    let copy = work.path().join(DATABASE);
-    if !copy.exists() {
-        return Err(bad("there is no library in it"));
+
+    fn add(&mut self, name: &str, length: u64, from: impl Read) -> io::Result<()> {
+        let mut header = tar::Header::new_ustar();
+        header.set_size(length);
+        header.set_mode(0o644);
+        let mut from = Summed::new(from);
+        self.tar.append_data(&mut header, name, &mut from)?;
+        let (sum, read) = from.end();
+        if read != length {
+            return Err(io::Error::other(format!("{name} changed meanwhile")));
+        }
+        self.sums.insert(name.into(), sum);
+        Ok(())
     }
-    fs::rename(&copy, &database).map_err(not_kept)?;
-    Ok(count)
+
+    /// The sums of all that is in it come last.
+    fn end(mut self) -> io::Result<W> {
+        let text = to_text(&self.sums);
+        self.add(SUMS, text.len() as u64, text.as_bytes())?;
+        self.tar.into_inner()
+    }
 }

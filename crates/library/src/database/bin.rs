@@ -3,6 +3,7 @@
 use crate::database::store::Database;
 use crate::database::target_rows::TargetRow;
 use crate::database::targets::is_taken;
+use crate::database::under_way;
 use crate::database::wrong::{Done, Wrong};
 use crate::database::{old, rows};
 use crate::names::{check_name, plain_name};
@@ -67,7 +68,7 @@ impl Database {
     /// files of earlier versions that they came from.
     ///
     /// # Errors
-    /// [`LibraryError::NotInBin`] before anything is deleted, those of the database.
+    /// [`LibraryError::NotInBin`] and [`LibraryError::InUse`] before anything is deleted, those of the database.
     pub fn purge_targets(&self, names: Option<&[String]>) -> Result<Vec<Purged>, LibraryError> {
         self.sweep(|connection| {
             let mut gone = Gone::default();
@@ -76,6 +77,9 @@ impl Database {
                     None => all_binned(change)?,
                     Some(names) => named(change, names)?,
                 };
+                for (id, _) in &ids {
+                    under_way::is_free(change, self.folder(), *id)?;
+                }
                 ids.into_iter()
                     .map(|(id, name)| purge(change, id, name, &mut gone))
                     .collect::<Done<Vec<_>>>()

@@ -193,6 +193,7 @@ impl Database {
 fn uses(connection: &Connection) -> Done<BTreeMap<String, String>> {
     let mut all = connection.prepare(
         "SELECT file, 'run ' || runs.name || ', ' || attachments.name FROM attachments JOIN runs ON runs.id = run
+         UNION ALL SELECT file, 'picture ' || name FROM pictures
          UNION ALL SELECT file, kind || ' ' || of || ' of ' || made FROM measurements
          UNION ALL SELECT picture, 'the picture of target ' || name FROM targets WHERE picture IS NOT NULL
          UNION ALL SELECT file, 'target ' || name || iif(binned IS NULL, '', ', in the bin') FROM targets",

@@ -27,7 +27,7 @@ pub struct Exported {
 }
 
 impl Database {
-    /// Writes all but the bin into a folder that is empty or not there yet. `progress` hears how many targets and runs of how many are done.
+    /// Writes all but the bin and brought pictures into a folder that is empty or not there yet. `progress` hears how many targets and runs of how many are done.
     ///
     /// # Errors
     /// [`LibraryError::NotKept`], those of the database. Files that are damaged or gone are told in the answer.

@@ -1,7 +1,7 @@
 //! What was measured of instruments: a row and a file each. The newest counts. One whose file somebody moved away does not: so an older one
 //! comes to count again.
 
-use crate::calibrations::{kept_in, kept_now, newest};
+use crate::calibrations::{kept_in, kept_now, newest, newest_path};
 use crate::cameras::{from_png, to_png};
 use crate::database::bin::Gone;
 use crate::database::measured_rows::{Kind, insert, size_word};
@@ -23,8 +23,8 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 impl Database {
-    /// The files of a kind in the order in which they were kept, each with what it is of; of one instrument, or of all. Those that are not there
-    /// were moved away.
+    /// The files of a kind in the order in which they were kept, each with what it is of; of one instrument, or of all. Calibrations of which
+    /// nobody knows whose they are count as any instrument's. Those that are not there were moved away.
     fn measured(
         &self,
         kind: Kind,
@@ -34,7 +34,7 @@ impl Database {
         let all: Vec<(String, String)> = self.read(|c| {
             let mut all = c.prepare_cached(
                 "SELECT of, file FROM measurements JOIN instruments ON instruments.id = instrument
-                 WHERE kind = ?1 AND (?2 IS NULL OR instruments.name = ?2) AND (?3 IS NULL OR of = ?3)
+                 WHERE kind = ?1 AND (?2 IS NULL OR instruments.name = ?2 OR (instruments.name = '' AND kind = 'calibration')) AND (?3 IS NULL OR of = ?3)
                  ORDER BY measurements.id",
             )?;
             let all = all.query_map(params![kind.word(), instrument, of], |row| Ok((row.get(0)?, row.get(1)?)))?;
@@ -75,21 +75,31 @@ impl Database {
 impl Calibrations for Database {
     fn calibration(
         &self,
+        instrument: &str,
         objective: &Objective,
         ranges: &[AxisRange],
     ) -> Result<Option<KeptCalibration>, LibraryError> {
-        let files = self.measured(Kind::Calibration, None, Some(&objective.id.0))?;
+        let files = self.measured(Kind::Calibration, Some(instrument), Some(&objective.id.0))?;
         newest(
             self.places(files),
             |path| self.said(path),
+            instrument,
             objective,
             ranges,
         )
     }
 
-    fn calibration_path(&self, objective: &ObjectiveId) -> Result<Option<PathBuf>, LibraryError> {
-        let files = self.measured(Kind::Calibration, None, Some(&objective.0))?;
-        Ok(self.places(files).pop())
+    fn calibration_path(
+        &self,
+        instrument: &str,
+        objective: &ObjectiveId,
+    ) -> Result<Option<PathBuf>, LibraryError> {
+        let files = self.measured(Kind::Calibration, Some(instrument), Some(&objective.0))?;
+        Ok(newest_path(
+            self.places(files),
+            |path| self.said(path),
+            instrument,
+        ))
     }
 
     fn calibration_history(&self) -> Result<Vec<Vec<CalibrationFile>>, LibraryError> {

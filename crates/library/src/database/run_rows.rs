@@ -35,13 +35,16 @@ pub struct RunRow {
     pub seconds: Option<f64>,
     /// Whether it has a report.
     pub report: bool,
+    /// Whether there is a picture of the view at arrival.
+    pub arrival: bool,
     /// Whether its frames stay whatever room they take.
     pub pinned: bool,
 }
 
 /// What [`RunRow::of`] reads.
 pub(crate) const COLUMNS: &str = "runs.name, job, began, ended, instruments.name, user, slide, target_name, verdict, \
-     message, seconds, EXISTS (SELECT 1 FROM attachments WHERE run = runs.id AND name = 'report.html'), pinned";
+     message, seconds, EXISTS (SELECT 1 FROM attachments WHERE run = runs.id AND name = 'report.html'), pinned, \
+     EXISTS (SELECT 1 FROM attachments WHERE run = runs.id AND name = 'arrival.jpg')";
 
 impl RunRow {
     pub(crate) fn of(row: &Row<'_>) -> rusqlite::Result<Self> {
@@ -59,6 +62,7 @@ impl RunRow {
             seconds: row.get(10)?,
             report: row.get(11)?,
             pinned: row.get(12)?,
+            arrival: row.get(13)?,
         })
     }
 }

@@ -4,6 +4,7 @@ use crate::database::objects::Objects;
 use crate::database::rows::{Lasting, within};
 use crate::database::run_rows::{self, COLUMNS, NewRun, RunRow};
 use crate::database::store::Database;
+use crate::database::under_way::UnderWay;
 use crate::database::wrong::Done;
 use crate::names::utc;
 use crate::runs::run_name;
@@ -142,14 +143,16 @@ struct Record {
     id: String,
     events: i64,
     lost: Option<LibraryError>,
+    _under_way: Option<UnderWay>,
 }
 
 impl Runs for Database {
     fn begin_run(&self, head: &RunHead) -> Result<Box<dyn RunLog>, LibraryError> {
         let began = utc(SystemTime::now());
-        let (run, id) = self.write(|change| {
+        let (run, id, under_way) = self.write(|change| {
             let id = run_rows::next(change)?;
             let name = run_name(id as u64, &began, &head.job);
+            let under_way = UnderWay::begin(self.path(), &name);
             NewRun {
                 id,
                 name: &name,
@@ -157,7 +160,7 @@ impl Runs for Database {
                 head,
             }
             .insert(change)?;
-            Ok((id, name))
+            Ok((id, name, under_way))
         })?;
         Ok(Box::new(Record {
             // An event that came is there when the program is killed; that it is when power fails nobody waits for.
@@ -168,6 +171,7 @@ impl Runs for Database {
             id,
             events: 0,
             lost: None,
+            _under_way: under_way,
         }))
     }
 }

@@ -22,6 +22,22 @@ pub struct TargetQuery<'a> {
     pub after: Option<&'a str>,
     /// Those in the bin, instead of those that are not.
     pub binned: bool,
+    /// Only those of which coming back is expected so surely.
+    pub chance: Option<Chance>,
+}
+
+/// How surely a target is come back to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Chance {
+    /// From `least` on, below `below`.
+    Of {
+        /// From this share on.
+        least: f64,
+        /// Below this one.
+        below: f64,
+    },
+    /// Nobody foretold it.
+    Unknown,
 }
 
 const BY_INDEX: &str = "targets.id IN (SELECT rowid FROM words WHERE words MATCH ?)";
@@ -50,14 +66,17 @@ impl Database {
     pub fn find_targets(&self, wanted: &TargetQuery<'_>) -> Result<Vec<TargetRow>, LibraryError> {
         let after: Option<(String, i64)> = match wanted.after {
             None => None,
-            Some(name) => self.read(|c| {
-                let place = c.query_row(
-                    "SELECT saved, id FROM targets WHERE name = ?1 AND binned IS NULL",
-                    [name],
-                    |row| Ok((row.get(0)?, row.get(1)?)),
-                );
-                Ok(place.optional()?)
-            })?,
+            Some(name) => {
+                let place = self.read(|c| {
+                    let place = c.query_row(
+                        "SELECT saved, id FROM targets WHERE name = ?1 AND binned IS NULL",
+                        [name],
+                        |row| Ok((row.get(0)?, row.get(1)?)),
+                    );
+                    Ok(place.optional()?)
+                })?;
+                Some(place.ok_or_else(|| self.no_target(name))?)
+            }
         };
         let mut given: Vec<Value> = Vec::new();
         let mut rules = vec![match wanted.binned {
@@ -67,6 +86,14 @@ impl Database {
         if let Some((saved, id)) = after {
             rules.push("(targets.saved, targets.id) < (?, ?)");
             given.extend([Value::from(saved), id.into()]);
+        }
+        match wanted.chance {
+            None => {}
+            Some(Chance::Unknown) => rules.push("targets.quality IS NULL"),
+            Some(Chance::Of { least, below }) => {
+                rules.push("json_extract(targets.quality, '$.chance') >= ? AND json_extract(targets.quality, '$.chance') < ?");
+                given.extend([Value::from(least), below.into()]);
+            }
         }
         if let Some(slide) = wanted.slide {
             rules.push("targets.slide = (SELECT id FROM slides WHERE name = ?)");

@@ -4,6 +4,7 @@ use crate::database::objects::Stored;
 use crate::database::rows::slide;
 use crate::database::store::Database;
 use crate::database::target_rows::{COLUMNS, FROM, NewRow, TargetRow};
+use crate::database::under_way;
 use crate::database::wrong::{Done, Wrong};
 use crate::names::{check_name, plain_name, utc};
 use crate::targets::{is_first, kept_of, picture_of, png, taken};
@@ -29,7 +30,7 @@ impl Database {
         }
     }
 
-    fn no_target(&self, name: &str) -> LibraryError {
+    pub(crate) fn no_target(&self, name: &str) -> LibraryError {
         let known = self.read(|c| {
             let all = c.query_row("SELECT count(*) FROM targets WHERE binned IS NULL", [], |r| r.get::<_, i64>(0))?;
             let mut names = c.prepare_cached(
@@ -78,6 +79,26 @@ impl Database {
     pub fn target_in(&self, row: &TargetRow) -> Result<KeptTarget, LibraryError> {
         let bytes = self.objects().get(&row.file)?;
         kept_of(&self.objects().place(&row.file), &bytes)
+    }
+
+    /// Changes the row of a target that no run needs as it is; `None` when there is none.
+    fn change_free(
+        &self,
+        change: &Transaction<'_>,
+        name: &str,
+        sql: &str,
+        to: &str,
+    ) -> Done<Option<()>> {
+        let id = change.query_row(
+            "SELECT id FROM targets WHERE name = ?1 AND binned IS NULL",
+            [name],
+            |row| row.get(0),
+        );
+        let Some(id) = id.optional()? else {
+            return Ok(None);
+        };
+        under_way::is_free(change, self.folder(), id)?;
+        change_row(change, name, sql, Some(to))
     }
 
     /// Puts the file and the picture of a target beside, and then its row.
@@ -224,7 +245,7 @@ impl Targets for Database {
         // A damaged one keeps its name, so that what is left of it is not lost track of.
         self.target_in(&row)?;
         let done = self.write(
-            |change| match change_row(change, name, "name = ?1", Some(to)) {
+            |change| match self.change_free(change, name, "name = ?1", to) {
                 Err(Wrong::Database(e)) if is_taken(&e) => Err(Wrong::Library(taken(to))),
                 done => done,
             },
@@ -236,7 +257,7 @@ impl Targets for Database {
     fn remove_target(&self, name: &str) -> Result<PathBuf, LibraryError> {
         let row = self.target_row(name)?;
         let now = utc(SystemTime::now());
-        let done = self.write(|change| change_row(change, name, "binned = ?1", Some(&now)))?;
+        let done = self.write(|change| self.change_free(change, name, "binned = ?1", &now))?;
         done.ok_or_else(|| self.no_target(name))?;
         Ok(self.objects().place(&row.file))
     }

@@ -12,6 +12,16 @@ const CSP = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 's
 const FRAME_MS = 80;
 
 /** Routes by method and pattern; what they answer is JSON, or bytes with a kind. */
+/** Saved views as they are asked for. */
+function found(w, asked) {
+  const has = (t, word) => [t.name, t.slide ?? "", t.note ?? ""].some((text) => text.toLowerCase().includes(word));
+  const words = (asked.get("text") ?? "").toLowerCase().split(/\s+/).filter(Boolean);
+  let all = asked.get("bin") === "true" ? (w.bin ?? []) : w.targets;
+  if (asked.get("after")) all = all.slice(all.findIndex((t) => t.name === asked.get("after")) + 1);
+  all = all.filter((t) => words.every((word) => has(t, word)) && (!asked.get("slide") || t.slide === asked.get("slide")) && (!asked.get("quality") || t.quality?.word === asked.get("quality")));
+  return all.slice(0, Number(asked.get("limit") ?? 500));
+}
+
 const ROUTES = [
   ["GET", /^me$/, (w) => w.me],
   ["POST", /^login$/, (w, _, body) => {
@@ -41,7 +51,10 @@ const ROUTES = [
   ["POST", /^jobs\/(\d+)\/resume$/, (w, id) => ((w.jobs.find((job) => job.id === Number(id)).state = { state: "running" }), {})],
   ["POST", /^questions\/\d+$/, (w) => ((w.question = null), {})],
   ["POST", /^abandon$/, (w) => ((w.left = null), {})],
-  ["GET", /^targets$/, (w, _, __, asked) => (asked?.get("bin") === "true" ? (w.bin ?? []) : w.targets).map(({ where, ...rest }) => rest)],
+  ["GET", /^targets$/, (w, _, __, asked) => found(w, asked).map(({ where, ...rest }) => rest)],
+  ["GET", /^targets\/([^/]+)$/, (w, name) => w.targets.find((t) => t.name === name)],
+  ["GET", /^slides$/, (w) => [...new Set(w.targets.map((t) => t.slide).filter(Boolean))].sort().map((name) => ({ name, targets: w.targets.filter((t) => t.slide === name).length }))],
+  ["GET", /^pictures$/, () => []],
   ["GET", /^targets\/([^/]+)\/(?:image\.png|thumb\.jpg)$/, (w, name) => {
     const target = w.targets.find((t) => t.name === name);
     return target && { kind: "image/png", bytes: view(target.where) };

@@ -66,7 +66,7 @@ export class World {
 
   instrument() {
     const objectives = Object.entries(SCALE).map(([id, um_per_px]) => ({ id, magnification: parseInt(id), na: 0.65, immersion: "air", um_per_px, calibrated: true }));
-    const axes = ["x", "y", "z"].map((axis) => ({ axis, unit: "um", least: -8000, most: 8000 }));
+    const axes = ["x", "y", "z", "rz"].map((axis) => ({ axis, unit: axis === "rz" ? "deg" : "um", least: -8000, most: 8000 }));
     return { name: this.name, simulated: this.simulated, version: "0.1.0", objectives, axes, camera: { name: "made up", width: 320, height: 240 }, nearer_z: 1, has_light: true, demo: this.demo !== null, left: this.left };
   }
 

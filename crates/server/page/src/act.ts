@@ -2,10 +2,10 @@
 
 import { attempt } from "./api.ts";
 import { refresh } from "./heard.ts";
-import { releaseAll } from "./live/hold.ts";
+import { releaseAll, type Way } from "./live/hold.ts";
 import { say } from "./socket.ts";
 import { get, type Model, set, use } from "./store.ts";
-import type { Target } from "./types.ts";
+import type { Instrument, Target } from "./types.ts";
 
 /** Everything stands still: by every way there is, and never asking. What is held is held no more. */
 export function stop(): void {
@@ -100,6 +100,12 @@ export function useMayHold(): boolean {
   return use(canHold);
 }
 
+/** Whether the instrument has the axes for that: nothing is asked that it cannot do. */
+export function moves(instrument: Instrument | null, way: Way): boolean {
+  const has = new Set(instrument?.axes.map((one) => one.axis));
+  return instrument === null || Object.keys(way).every((axis) => has.has(axis));
+}
+
 export async function start(job: Record<string, unknown>): Promise<number | null> {
   const told = await attempt<{ id: number }>("POST", "jobs", job);
   return told?.id ?? null;
@@ -152,6 +158,12 @@ export async function removeAll(names: string[]): Promise<string[]> {
 
 export async function remove(name: string): Promise<void> {
   if (await attempt("DELETE", `targets/${encodeURIComponent(name)}`)) await refresh();
+}
+
+/** Lays a picture under the demonstration's microscope; null: what lay there at first. */
+export async function layPicture(name: string | null): Promise<void> {
+  // What is told of the former slide is no news of this one.
+  if (await attempt("POST", "demo", { picture: name })) set({ last: null });
 }
 
 export function by(axis: "z_um" | "rz_deg" | "x_um" | "y_um", amount: number): void {

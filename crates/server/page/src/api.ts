@@ -22,15 +22,11 @@ export function address(path: string): string {
   return `api/v1/${path}`;
 }
 
-export async function ask<T>(method: string, path: string, body?: unknown): Promise<T> {
+/** The answer to a request; what is refused is thrown. */
+async function told<T>(path: string, request: RequestInit): Promise<T> {
   let response: Response;
   try {
-    response = await fetch(address(path), {
-      method,
-      credentials: "same-origin",
-      headers: method === "GET" ? {} : { "content-type": "application/json" },
-      body: method === "GET" ? undefined : JSON.stringify(body ?? {}),
-    });
+    response = await fetch(path, { credentials: "same-origin", ...request });
   } catch {
     throw new Refused(0, LOST);
   }
@@ -39,6 +35,16 @@ export async function ask<T>(method: string, path: string, body?: unknown): Prom
   const failure = (told ?? { code: "no_answer", kind: "fault", message: `The server answered ${response.status}.` }) as Failure;
   if (response.status === 401 && failure.code === "not_logged_in") set({ me: null });
   throw new Refused(response.status, failure);
+}
+
+export async function ask<T>(method: string, path: string, body?: unknown): Promise<T> {
+  const request = method === "GET" ? {} : { headers: { "content-type": "application/json" }, body: JSON.stringify(body ?? {}) };
+  return told<T>(address(path), { method, ...request });
+}
+
+/** Sends a file as what it is. */
+export async function send<T>(path: string, kind: string, file: Blob): Promise<T> {
+  return told<T>(path, { method: "PUT", headers: { "content-type": kind }, body: file });
 }
 
 /** Asks, and shows what is refused until somebody has read it. */

@@ -10,6 +10,8 @@ export function fixed(value: number, decimals: number): string {
 export function length(um: number): string {
   const size = Math.abs(um);
   if (size >= 1000) return `${fixed(um / 1000, size >= 10_000 ? 1 : 2)} mm`;
+  // Nothing is known to nothing.
+  if (size > 0 && size < 0.005) return "less than 0.01 µm";
   if (size >= 10) return `${fixed(um, 1)} µm`;
   return `${fixed(um, 2)} µm`;
 }

@@ -8,6 +8,9 @@ import type { EventRecord, Instrument, Job, Run, State, Target, WholeJob } from 
 /** Jobs whose end is worth a look at their answer. */
 const TELLING = new Set(["reposition", "calibrate", "focus", "check", "doctor", "save_target", "objective", "home", "move", "centre", "jog", "resume"]);
 
+/** So many of the saved views are at hand on every page. */
+const NEWEST = 50;
+
 /** The last job whose answer was asked for. */
 let asked: number | null = null;
 
@@ -43,10 +46,15 @@ export function onEvent(record: EventRecord): void {
 /** What is kept, and what the instrument is: asked again when a job has ended. */
 export async function refresh(): Promise<void> {
   const [targets, runs, instrument] = await Promise.all([
-    ask<Target[]>("GET", "targets").catch(() => get().targets),
+    ask<Target[]>("GET", `targets?limit=${NEWEST}`).catch(() => get().targets),
     ask<Run[]>("GET", "runs?limit=100").catch(() => get().runs),
     ask<Instrument>("GET", "instrument").catch(() => get().instrument),
   ]);
-  const chosen = targets.some((t) => t.name === get().chosen) ? get().chosen : (targets[0]?.name ?? null);
-  set({ targets, runs, instrument, chosen });
+  const wanted = get().chosen;
+  let found = targets.find((t) => t.name === wanted) ?? null;
+  if (wanted !== null && !found) found = await ask<Target>("GET", `targets/${encodeURIComponent(wanted)}`).catch(() => null);
+  // Somebody may have chosen another meanwhile.
+  const now = get().chosen;
+  const is = now !== wanted ? {} : { chosen: found?.name ?? targets[0]?.name ?? null, chosenTarget: found };
+  set({ targets, runs, instrument, ...is });
 }

@@ -1,6 +1,6 @@
 // Keys of the whole page. Where somebody writes, letters are letters; Escape stops everywhere.
 
-import { goBack, mayStart, mayStep, start, stop, mayHold } from "./act.ts";
+import { goBack, mayStart, mayStep, moves, start, stop, mayHold } from "./act.ts";
 import { hold, release, releaseAll, type Way } from "./live/hold.ts";
 import { get, type Page, set } from "./store.ts";
 
@@ -33,7 +33,7 @@ function down(event: KeyboardEvent): void {
   if (way && model.page === "live") {
     event.preventDefault();
     // A key that is held on repeats itself: only its first word counts, so that what was stopped stays so.
-    if (!event.repeat && mayHold()) hold(`key ${event.code}`, way);
+    if (!event.repeat && mayHold() && moves(model.instrument, way)) hold(`key ${event.code}`, way);
     return;
   }
   if (event.repeat) return;

@@ -23,9 +23,12 @@ export type Model = {
   frameAt: number;
   /** The last sharpnesses, the newest last. */
   sharpness: number[];
+  /** The newest; the page of targets asks for others. */
   targets: Target[];
   /** The saved view that one goes back to. */
   chosen: string | null;
+  /** What is known of it, where it is none of the newest. */
+  chosenTarget: Target | null;
   runs: Run[];
   trace: Trace;
   /** What came of the last job that was worth telling. */
@@ -49,6 +52,7 @@ let model: Model = {
   sharpness: [],
   targets: [],
   chosen: null,
+  chosenTarget: null,
   runs: [],
   trace: EMPTY,
   last: null,

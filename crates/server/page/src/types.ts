@@ -51,7 +51,7 @@ export type State = {
   jobs: Job[];
   questions: Question[];
   camera: { age_s: number | null; trouble: string | null };
-  demo: { slide: "in" | "moved" } | null;
+  demo: { slide: "in" | "moved"; picture: string | null } | null;
   /** Counts what changed of what is kept. */
   revision: number;
   /** For so long somebody may move the instrument from elsewhere, s; null: not at all. */
@@ -93,6 +93,9 @@ export type Target = {
   binned?: string;
 };
 
+/** One that somebody brought to the demonstration. */
+export type Picture = { name: string; um_per_px: number; size_px: [number, number]; bytes: number; user: string; brought: string; lies: boolean };
+
 export type Run = {
   id: string;
   job: string;
@@ -105,6 +108,8 @@ export type Run = {
   seconds: number | null;
   ended: boolean;
   report: boolean;
+  /** Whether there is a picture of the view at arrival. */
+  arrival: boolean;
   pinned: boolean;
 };
 

@@ -18,6 +18,9 @@ export const words = {
   change: "Somebody else sits down here: what is shown stays, and the seat of whoever moved the instrument is free.",
   bin: "They lie in the bin then, from which they can be taken back.",
   purge: "Nothing brings it back: its image, what was done with it and its name in the log go as well.",
+  beside: "Two visits beside each other",
+  needed: "It keeps its name and stays until the run with it has ended.",
+  pictures: "A picture is a file of PNG, JPEG, JPEG 2000 or TIFF.",
   noRuns: "Nothing was done yet.",
   pages: { live: "Live", targets: "Targets", runs: "Runs", people: "People" },
   verdicts: {

@@ -82,6 +82,8 @@ test("numbers are said with their unit, and nothing is minus nothing", () => {
   assert.equal(fixed(-0.001, 2), "0.00");
   assert.equal(fixed(-0.01, 2), "-0.01");
   assert.equal(length(0.354), "0.35 µm");
+  assert.equal(length(0.0012), "less than 0.01 µm");
+  assert.equal(length(-0.0012), "less than 0.01 µm");
   assert.equal(length(78.84), "78.8 µm");
   assert.equal(length(12_960), "13.0 mm");
   assert.equal(duration(7.26), "7.3 s");

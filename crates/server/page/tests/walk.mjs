@@ -1,63 +1,15 @@
 // The page as people use it, in a real browser, on the simulated microscope that the program serves.
-//   SCOPESERVO=target/release/scopeservo [SCOPESERVO_CHROMIUM=/usr/bin/chromium] [SCREENSHOTS=folder] [BUILT=built] npm run walk
+//   SCOPESERVO=target/release/scopeservo [SCOPESERVO_CHROMIUM=/usr/bin/chromium] [SCREENSHOTS=folder] [BUILT=built] [SCOPESERVO_PYTHON=python] npm run walk
 // BUILT: the page of that folder, instead of the one that the program was built with.
 import { strict as assert } from "node:assert";
-import { mkdirSync, mkdtempSync, readFileSync, rmSync } from "node:fs";
+import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { createRequire } from "node:module";
 import { chromium } from "playwright-core";
+import { onBeads } from "./beads.mjs";
+import { manyTargets, ownPicture, visits } from "./kept.mjs";
 import { run, serve } from "./served.mjs";
-
-const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
-const shots = process.env.SCREENSHOTS;
-if (shots) mkdirSync(shots, { recursive: true });
-
-const SIZES = { desk: { width: 1400, height: 900 }, phone: { width: 390, height: 844, touch: true } };
-const LONG = { timeout: 60_000 };
-
-async function shoot(page, size, name) {
-  if (shots) await page.screenshot({ path: `${shots}/${size}-${name}.png` });
-}
-
-async function wellFormed(page, where) {
-  await page.evaluate(axe);
-  const found = await page.evaluate(() => globalThis.axe.run(document, { resultTypes: ["violations"] }));
-  const serious = found.violations.filter((v) => ["serious", "critical"].includes(v.impact));
-  assert.deepEqual(serious.map((v) => [v.id, v.nodes.map((n) => n.html.slice(0, 120))]), [], where);
-}
-
-async function ours(page) {
-  if (process.env.BUILT) await page.route(/\/app\.(js|css)$/, (route) => route.fulfill({ path: `${process.env.BUILT}${new URL(route.request().url()).pathname}` }));
-}
-
-async function opened(browser, link, { touch, ...viewport }, more = {}) {
-  const context = await browser.newContext({ viewport, hasTouch: Boolean(touch), isMobile: Boolean(touch), ...more });
-  const page = await context.newPage();
-  page.setDefaultTimeout(20_000);
-  const wrong = [];
-  page.on("pageerror", (error) => wrong.push(String(error)));
-  page.on("console", (message) => message.type() === "error" && !/401|409/.test(message.text()) && wrong.push(message.text()));
-  await ours(page);
-  await page.goto(link);
-  await page.locator(".paper[data-seq]").waitFor(LONG);
-  assert.equal(new URL(page.url()).hash, "", "the key stays in no address");
-  return { page, wrong, end: () => context.close() };
-}
-
-const state = (page) => page.evaluate(() => fetch("api/v1/state").then((answer) => answer.json()));
-
-async function until(page, is, what) {
-  const since = Date.now();
-  for (;;) {
-    const now = await state(page);
-    if (is(now)) return now;
-    assert.ok(Date.now() - since < LONG.timeout, what);
-    await page.waitForTimeout(50);
-  }
-}
-
-const idle = (page) => until(page, (s) => s.jobs.every((job) => job.state.state === "ended"), "a job goes on");
+import { anna as first, idle, LONG, opened, person, shoot, SIZES, state, until, wellFormed } from "./steps.mjs";
 
 /** A first save and return: so many presses of the pointer or of Enter. */
 async function saveAndReturn(page, size) {
@@ -198,21 +150,7 @@ async function withPeople(browser) {
   const folder = mkdtempSync(join(tmpdir(), "scopeservo-"));
   await run(folder, "init", "--twin");
   const { link, end } = await serve(folder);
-  const person = async (at) => {
-    const page = await (await browser.newContext({ viewport: SIZES.desk })).newPage();
-    page.setDefaultTimeout(20_000);
-    await ours(page);
-    await page.goto(at);
-    return page;
-  };
-  const anna = await person(link);
-  await anna.getByText("You are the first one here").waitFor();
-  await shoot(anna, "desk", "first");
-  await wellFormed(anna, "first");
-  await anna.getByLabel("Name").fill("anna");
-  await anna.getByLabel("Password").fill("long enough");
-  await anna.getByRole("button", { name: "Begin" }).click();
-  await anna.locator(".paper[data-seq]").waitFor(LONG);
+  const anna = await first(browser, link);
   await anna.getByRole("button", { name: "People" }).click();
   const users = anna.locator("section", { has: anna.getByRole("heading", { name: "Users" }) });
   await users.getByPlaceholder("name").fill("vera");
@@ -221,7 +159,7 @@ async function withPeople(browser) {
   await users.getByText("vera").waitFor();
   await shoot(anna, "desk", "users");
   // Whoever may look sees all of it, and no button that would be refused; stopping is everybody's.
-  const vera = await person(link.replace(/#.*/, ""));
+  const vera = await person(browser, link.replace(/#.*/, ""));
   await vera.getByLabel("Name").fill("vera");
   await vera.getByLabel("Password").fill("a wrong one");
   await vera.getByRole("button", { name: "Log in" }).click();
@@ -244,14 +182,25 @@ async function withPeople(browser) {
   rmSync(folder, { recursive: true });
 }
 
-const { link, end } = await serve();
 const executablePath = process.env.SCOPESERVO_CHROMIUM ?? "/usr/bin/chromium";
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
+// One of them: npm run walk -- beads.
+const only = process.argv[2];
+const ALONE = { many: manyTargets, beads: onBeads, people: withPeople };
 try {
+  if (only) {
+    await ALONE[only](browser);
+    process.exit(0);
+  }
+  const { link, end } = await serve();
   await atDesk(browser, link);
   await onPhone(browser, link);
+  await visits(browser, link);
+  await ownPicture(browser, link);
   await others(browser, link, end);
   await withPeople(browser);
+  await manyTargets(browser);
+  await onBeads(browser);
   console.log("all of it works");
 } finally {
   await browser.close();

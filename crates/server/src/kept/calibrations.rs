@@ -5,11 +5,12 @@ use crate::error::ApiError;
 use scopeservo_library::Calibrations as _;
 use serde_json::{Value, json};
 
-/// All of them, objective by objective, the newest first.
+/// All of them, objective by objective, the newest first; in use is the newest that this instrument made.
 pub(crate) fn calibrations(app: &App) -> Result<Value, ApiError> {
     let mut all = Vec::new();
     for files in app.bench.library.calibration_history()? {
         let mut is_newest = true;
+        let own = &app.bench.config.name;
         for file in files.into_iter().rev() {
             all.push(match file.kept {
                 Err(error) => json!({"damaged": error.to_string()}),
@@ -18,7 +19,7 @@ pub(crate) fn calibrations(app: &App) -> Result<Value, ApiError> {
                     let um_per_px = c.um_per_px();
                     let sigma = c.sigma_of(|c| Some(c.um_per_px()));
                     let angle = c.reading().map(|r| r.phi_rad.to_degrees());
-                    let in_use = std::mem::replace(&mut is_newest, false);
+                    let in_use = kept.is_of(own) && std::mem::replace(&mut is_newest, false);
                     json!({
                         "objective": c.objective,
                         "made": kept.made,

@@ -5,5 +5,7 @@ mod runs;
 mod targets;
 
 pub(crate) use calibrations::calibrations;
-pub(crate) use runs::{events, pin, report, run, runs};
-pub(crate) use targets::{Edit, edit, picture, purge, remove, slides, target, targets, thumbnail};
+pub(crate) use runs::{arrival, events, pin, report, run, runs};
+pub(crate) use targets::{
+    Edit, Quality, edit, picture, purge, remove, slides, target, targets, thumbnail,
+};

@@ -22,6 +22,7 @@ fn told(row: &RunRow) -> Value {
         "seconds": row.seconds,
         "ended": row.ended.is_some(),
         "report": row.report,
+        "arrival": row.arrival,
         "pinned": row.pinned,
     })
 }
@@ -50,6 +51,13 @@ pub(crate) fn events(app: &App, id: &str) -> Result<Vec<u8>, ApiError> {
 pub(crate) fn report(app: &App, id: &str) -> Result<Vec<u8>, ApiError> {
     let none = || ApiError::missing(format!("the run '{id}' has no report"));
     let place = app.bench.library.run_file(id, "report.html")?;
+    scopeservo_files::read(&place.ok_or_else(none)?, LARGEST).map_err(|_| none())
+}
+
+/// What the view looked like when it arrived.
+pub(crate) fn arrival(app: &App, id: &str) -> Result<Vec<u8>, ApiError> {
+    let none = || ApiError::missing(format!("the run '{id}' has no picture of an arrival"));
+    let place = app.bench.library.run_file(id, "arrival.jpg")?;
     scopeservo_files::read(&place.ok_or_else(none)?, LARGEST).map_err(|_| none())
 }
 

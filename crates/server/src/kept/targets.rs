@@ -3,11 +3,12 @@
 use crate::app::App;
 use crate::error::ApiError;
 use crate::live::jpeg;
-use scopeservo_library::{Label, TargetQuery, TargetRow, Targets as _, png_of};
+use crate::routes::said;
+use scopeservo_library::{Chance, Label, TargetQuery, TargetRow, Targets as _, png_of};
 use scopeservo_protocol::Place;
 use scopeservo_scope::Frame;
 use scopeservo_servo::TargetQuality;
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 /// The width of a small picture, pixels.
@@ -23,11 +24,6 @@ pub(crate) struct Edit {
     pub(crate) note: Option<String>,
     /// It is taken back out of the bin.
     pub(crate) restore: bool,
-}
-
-/// That something was said, if only that there is none.
-fn said<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Option<String>>, D::Error> {
-    Option::<String>::deserialize(from).map(Some)
 }
 
 fn told(app: &App, row: &TargetRow) -> Value {
@@ -55,16 +51,48 @@ fn told(app: &App, row: &TargetRow) -> Value {
     told
 }
 
+/// From such a chance on coming back is as good as sure, and from such a one on it is rather likely.
+const GOOD: f64 = 0.9;
+const FAIR: f64 = 0.6;
+
+/// How surely a view is come back to, in a word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Quality {
+    Good,
+    Fair,
+    Poor,
+    Unknown,
+}
+
+impl Quality {
+    fn of(quality: Option<&TargetQuality>) -> Self {
+        match quality.map(|q| q.chance) {
+            None => Self::Unknown,
+            Some(chance) if chance >= GOOD => Self::Good,
+            Some(chance) if chance >= FAIR => Self::Fair,
+            Some(_) => Self::Poor,
+        }
+    }
+
+    /// Those that are called so.
+    pub(crate) fn chance(self) -> Chance {
+        let of = |least, below| Chance::Of { least, below };
+        match self {
+            Self::Good => of(GOOD, f64::INFINITY),
+            Self::Fair => of(FAIR, GOOD),
+            Self::Poor => of(f64::NEG_INFINITY, FAIR),
+            Self::Unknown => Chance::Unknown,
+        }
+    }
+}
+
 /// How surely it is come back to, as a word with its reason.
 fn quality(quality: Option<&TargetQuality>) -> Value {
     let Some(quality) = quality else {
         return json!({"word": "unknown", "text": "it was saved by an earlier version", "chance": null});
     };
-    let word = match quality.chance {
-        chance if chance >= 0.9 => "good",
-        chance if chance >= 0.6 => "fair",
-        _ => "poor",
-    };
+    let word = Quality::of(Some(quality));
     json!({"word": word, "text": quality.to_string(), "chance": quality.chance})
 }
 

@@ -1,10 +1,11 @@
 //! The instrument: how it stands, who drives, light, and stop.
 
-use super::route::{Answer, Route, Shared, aside, body, route};
+use super::route::{Answer, Route, Shared, aside, body, route, said};
 use crate::error::ApiError;
 use crate::look;
 use crate::need::Need;
 use crate::people::Caller;
+use crate::pictures;
 use crate::socket;
 use axum::extract::{Request, State};
 use axum::routing::{get, post};
@@ -172,17 +173,28 @@ async fn set_slide(State(app): Shared, request: Request) -> Answer {
     Ok(Json(json!({"slide": name})))
 }
 
+/// What is done with the demonstration's slide: it is moved, or a picture lies there instead; `null` is what lay there at first.
+#[derive(Deserialize)]
+struct Demo {
+    #[serde(default, deserialize_with = "said")]
+    picture: Option<Option<String>>,
+}
+
 async fn move_slide(
     State(app): Shared,
     Extension(caller): Extension<Caller>,
     request: Request,
 ) -> Answer {
-    let _: Value = body(request).await?;
+    let Demo { picture } = body(request).await?;
+    let told = json!({"slide": if picture.is_some() { "in" } else { "moved" }});
     aside(&app, move |app| {
         app.desk.is_free()?;
         app.seat.take(&caller)?;
-        app.move_demo_slide()
+        match picture {
+            Some(name) => pictures::lay(app, &caller, name.as_deref()),
+            None => app.move_demo_slide(),
+        }
     })
     .await?;
-    Ok(Json(json!({"slide": "moved"})))
+    Ok(Json(told))
 }

@@ -58,6 +58,12 @@ pub(super) fn routes() -> Vec<Route> {
             View,
             get(run_report),
         ),
+        route(
+            "GET",
+            "/api/v1/runs/{id}/arrival.jpg",
+            View,
+            get(run_arrival),
+        ),
     ]
 }
 
@@ -73,6 +79,7 @@ struct Which {
     after: Option<String>,
     #[serde(default)]
     bin: bool,
+    quality: Option<kept::Quality>,
 }
 
 async fn targets(State(app): Shared, Wanted(which): Wanted<Which>) -> Answer {
@@ -83,6 +90,7 @@ async fn targets(State(app): Shared, Wanted(which): Wanted<Which>) -> Answer {
             limit: which.limit.unwrap_or(TARGETS).clamp(1, TARGETS),
             after: which.after.as_deref(),
             binned: which.bin,
+            chance: which.quality.map(kept::Quality::chance),
         };
         kept::targets(app, &wanted)
     });
@@ -174,6 +182,11 @@ async fn run(State(app): Shared, Named(id): Named<String>) -> Answer {
 async fn run_events(State(app): Shared, Named(id): Named<String>) -> Result<Response, ApiError> {
     let bytes = aside(&app, move |app| kept::events(app, &id)).await?;
     Ok(file("application/json", bytes))
+}
+
+async fn run_arrival(State(app): Shared, Named(id): Named<String>) -> Result<Response, ApiError> {
+    let bytes = aside(&app, move |app| kept::arrival(app, &id)).await?;
+    Ok(file("image/jpeg", bytes))
 }
 
 /// A report is a page of its own that may run nothing.

@@ -4,8 +4,11 @@ mod instrument;
 mod jobs;
 mod kept;
 mod people;
+mod pictures;
 mod route;
 mod watch;
+
+pub(crate) use route::said;
 
 use crate::app::App;
 use crate::error::ApiError;
@@ -38,6 +41,7 @@ pub(crate) fn table() -> Vec<Route> {
         instrument::routes(),
         jobs::routes(),
         kept::routes(),
+        pictures::routes(),
         watch::routes(),
     ];
     own.into_iter().chain(parts.into_iter().flatten()).collect()

@@ -10,6 +10,7 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::MethodRouter;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize as _, Deserializer};
 use serde_json::Value;
 use std::sync::Arc;
 
@@ -49,6 +50,11 @@ pub(super) async fn body<T: DeserializeOwned>(request: Request) -> Result<T, Api
         ApiError::new(StatusCode::PAYLOAD_TOO_LARGE, "too_large", message)
     })?;
     serde_json::from_slice(&bytes).map_err(|e| ApiError::input(format!("that cannot be read: {e}")))
+}
+
+/// That something was said, if only that there is none.
+pub(crate) fn said<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Option<String>>, D::Error> {
+    Option::<String>::deserialize(from).map(Some)
 }
 
 /// The names in a path.

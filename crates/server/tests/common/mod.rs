@@ -259,9 +259,14 @@ impl Client {
 
     /// Waits for a job's end.
     pub(crate) fn ended(&self, id: u64) -> Value {
+        self.ended_while(id, || {})
+    }
+
+    fn ended_while(&self, id: u64, mut meanwhile: impl FnMut()) -> Value {
         let began = Instant::now();
         loop {
             let job = self.job(id);
+            meanwhile();
             if job["state"]["state"] == "ended" {
                 return job;
             }
@@ -271,7 +276,14 @@ impl Client {
     }
 
     pub(crate) fn run(&self, job: &Value) -> Value {
-        self.ended(self.start(job))
+        // As a page does that is open, however busy the computer is.
+        let mut said = Instant::now();
+        self.ended_while(self.start(job), || {
+            if said.elapsed() > Duration::from_secs(3) {
+                said = Instant::now();
+                self.post("/api/v1/lease", &json!({}));
+            }
+        })
     }
 
     pub(crate) fn socket(&self) -> Socket {

@@ -1,7 +1,8 @@
 // A pad to hold: the view goes that way on the screen.
 
 import { useEffect } from "preact/hooks";
-import { useMayHold } from "../act.ts";
+import { moves, useMayHold } from "../act.ts";
+import { use } from "../store.ts";
 import { hold, release, releaseAll, type Way } from "./hold.ts";
 
 const PAD: [string, string, Way][] = [
@@ -17,6 +18,7 @@ const PAD: [string, string, Way][] = [
 
 export function JogPad() {
   const may = useMayHold();
+  const instrument = use((m) => m.instrument);
   useEffect(() => releaseAll, []);
   return (
     <section>
@@ -24,7 +26,7 @@ export function JogPad() {
         Move <span class="soft">hold</span>
       </h2>
       <div class="pad">
-        {PAD.map(([name, sign, way]) => (
+        {PAD.filter(([, , way]) => moves(instrument, way)).map(([name, sign, way]) => (
           <button
             key={name}
             type="button"

@@ -70,8 +70,8 @@ function Light({ may, bins }: { may: boolean; bins: Histogram | null }) {
     <section>
       <h2>Light</h2>
       {bins && <Bins bins={bins} />}
-      {saturated > 0.01 && <p class="bad">{fixed(100 * saturated, 0)} % of the image is too bright to show anything</p>}
-      {dark > 0.5 && <p class="bad">most of the image is black</p>}
+      {saturated > 0.01 && <p class="unsure">{fixed(100 * saturated, 0)} % of the image is too bright to show anything</p>}
+      {dark > 0.5 && <p class="soft">most of the image is black</p>}
       {exposure !== null && (
         <div class="row">
           <span class="value">{fixed(exposure, exposure < 10 ? 1 : 0)} ms</span>

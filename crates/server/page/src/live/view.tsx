@@ -163,7 +163,7 @@ function Over() {
 function Found({ frame }: { frame: FrameHead }) {
   const step = use((m) => m.trace.steps.at(-1) ?? null);
   const isUnderWay = use((m) => m.state?.jobs[0]?.kind === "reposition" && m.state.jobs[0].state.state !== "ended");
-  const size = use((m) => m.targets.find((t) => t.name === m.chosen) ?? null);
+  const size = use((m) => m.targets.find((t) => t.name === m.chosen) ?? (m.chosenTarget?.name === m.chosen ? m.chosenTarget : null));
   if (!step || !isUnderWay || step.objective !== frame.objective) return null;
   const corners = outline(step.targetFromView, size?.width ?? frame.full_width, size?.height ?? frame.full_height);
   if (!corners) return null;

@@ -1,11 +1,13 @@
 // The edge below, on every page: three verbs, and what one may go back to.
 
+import { useState } from "preact/hooks";
 import { attempt } from "../api.ts";
 import { goBack, stop, useMayStart, useWhyNot } from "../act.ts";
 import { address } from "../api.ts";
 import { withUnits } from "../format.ts";
 import { set, use } from "../store.ts";
 import { words } from "../words.ts";
+import { Pictures } from "./pictures.tsx";
 
 export function Bottom() {
   const may = use((m) => m.me?.may_move ?? false);
@@ -13,6 +15,7 @@ export function Bottom() {
   const busy = !useMayStart();
   const demo = use((m) => m.state?.demo ?? null);
   const why = useWhyNot();
+  const [pictures, setPictures] = useState(false);
   return (
     <footer class="bottom">
       {why && (
@@ -37,6 +40,12 @@ export function Bottom() {
           Take the slide out, put it back
         </button>
       )}
+      {may && demo && (
+        <button type="button" class="verb quiet" onClick={() => setPictures(true)}>
+          Another slide …
+        </button>
+      )}
+      {pictures && <Pictures onClose={() => setPictures(false)} />}
       <button type="button" class="verb stop" onClick={stop}>
         {words.stop} <kbd>Esc</kbd>
       </button>

@@ -1,9 +1,11 @@
 // A name for the view that is saved: suggested, so that Enter is enough.
 
-import { useState } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import { save } from "../act.ts";
+import { ask } from "../api.ts";
 import { freeName } from "../format.ts";
 import { get, set, use } from "../store.ts";
+import type { Target } from "../types.ts";
 import { Dialog } from "./dialog.tsx";
 
 export function Saving() {
@@ -15,6 +17,13 @@ function Form() {
   const slide = use((m) => m.state?.slide ?? null);
   const stem = (slide ?? "view").replace(/[^A-Za-z0-9_.-]+/g, "-");
   const [name, setName] = useState(() => freeName(stem, get().targets.map((t) => t.name)));
+  // Also beside those that are not at hand: names of this stem, unless somebody has written another meanwhile.
+  useEffect(() => {
+    void ask<Target[]>("GET", `targets?limit=500&text=${encodeURIComponent(stem)}`).then(
+      (like) => setName((now) => (now === freeName(stem, get().targets.map((t) => t.name)) ? freeName(stem, [...like, ...get().targets].map((t) => t.name)) : now)),
+      () => undefined,
+    );
+  }, []);
   const [focus, setFocus] = useState(true);
   const close = () => set({ saving: false });
   return (

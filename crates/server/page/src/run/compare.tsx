@@ -3,6 +3,24 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { address } from "../api.ts";
 
+/** Two pictures, one over the other, with a slider between them. */
+export function Slider({ left, right, alt }: { left: string; right: string; alt: [string, string] }) {
+  const [share, setShare] = useState(50);
+  return (
+    <figure class="compare">
+      <div class="pair">
+        <img class="under" alt={alt[1]} src={right} />
+        <img alt={alt[0]} src={left} style={{ clipPath: `inset(0 ${100 - share}% 0 0)` }} />
+        <span class="edge" style={{ left: `${share}%` }} />
+      </div>
+      <input type="range" min="0" max="100" value={share} aria-label={`between ${alt[0]} and ${alt[1]}`} onInput={(e) => setShare(Number(e.currentTarget.value))} />
+      <figcaption>
+        left {alt[0]}, right {alt[1]}
+      </figcaption>
+    </figure>
+  );
+}
+
 export function Compare({ name }: { name: string }) {
   const now = useRef<HTMLCanvasElement>(null);
   const [share, setShare] = useState(50);

@@ -1,31 +1,36 @@
 // Saved views as a contact sheet.
 
-import { useMemo, useState } from "preact/hooks";
-import { address } from "../api.ts";
+import { useEffect, useRef, useState } from "preact/hooks";
+import { address, ask } from "../api.ts";
 import { edit, goBack, remove, removeAll, useMayStart } from "../act.ts";
 import { length, moment } from "../format.ts";
 import { scaleBar } from "../geometry.ts";
 import { set, use } from "../store.ts";
 import type { Target } from "../types.ts";
 import { Dialog } from "../parts/dialog.tsx";
-import { Row } from "../run/runs.tsx";
 import { Bin } from "./bin.tsx";
+import { useList } from "./list.ts";
+import { Visits } from "./visits.tsx";
 import { words } from "../words.ts";
 
 export function Targets() {
-  const targets = use((m) => m.targets);
+  const none = use((m) => m.targets.length === 0);
+  const revision = use((m) => m.state?.revision ?? 0);
   const [text, setText] = useState("");
   const [quality, setQuality] = useState("");
   const [slide, setSlide] = useState("");
-  const slides = [...new Set(targets.map((t) => t.slide).filter((s) => s))].sort() as string[];
+  const [slides, setSlides] = useState<string[]>([]);
+  useEffect(() => {
+    void ask<{ name: string; targets: number }[]>("GET", "slides").then(
+      (all) => setSlides(all.filter((one) => one.targets > 0).map((one) => one.name)),
+      () => undefined,
+    );
+  }, [revision]);
   const [open, setOpen] = useState<string | null>(null);
   const [bin, setBin] = useState(false);
-  const shown = useMemo(() => {
-    const wanted = text.trim().toLowerCase();
-    const has = (t: Target) => [t.name, t.slide ?? "", t.note ?? ""].some((s) => s.toLowerCase().includes(wanted));
-    return targets.filter((t) => has(t) && (!quality || t.quality?.word === quality) && (!slide || t.slide === slide));
-  }, [targets, text, quality, slide]);
-  const one = targets.find((t) => t.name === open);
+  const list = useList({ text, slide, quality });
+  const shown = list.rows ?? [];
+  const one = shown.find((t) => t.name === open);
   const may = use((m) => m.me !== null && m.me !== undefined && m.me.role !== "viewer");
   const [marked, setMarked] = useState<Set<string>>(new Set());
   // Those that are gone, or are not shown, are not marked: nobody takes out what they do not see.
@@ -73,9 +78,9 @@ export function Targets() {
           </button>
         )}
       </div>
-      {targets.length === 0 && <p class="soft">{words.noTargets}</p>}
-      {targets.length > 0 && shown.length === 0 && <p class="soft">None of {targets.length} is like that.</p>}
-      {may && shown.length > 0 && <Marked names={chosen} all={shown.map((t) => t.name)} onMark={(names) => setMarked(new Set(names))} />}
+      {none && list.rows?.length === 0 && <p class="soft">{words.noTargets}</p>}
+      {!none && list.rows?.length === 0 && <p class="soft">None is like that.</p>}
+      {may && shown.length > 0 && <Marked names={chosen} more={list.more} all={shown.map((t) => t.name)} onMark={(names) => setMarked(new Set(names))} />}
       <ul class="contact">
         {shown.map((target) => (
           <li key={target.name}>
@@ -83,9 +88,32 @@ export function Targets() {
           </li>
         ))}
       </ul>
+      {list.more && <More shown={shown.length} onMore={list.next} />}
       {one && <Open target={one} onClose={() => setOpen(null)} />}
       {bin && <Bin onClose={() => setBin(false)} />}
     </main>
+  );
+}
+
+/** The next ones come when one asks for them, or has looked so far. */
+function More({ shown, onMore }: { shown: number; onMore: () => void }) {
+  const button = useRef<HTMLButtonElement>(null);
+  const more = useRef(onMore);
+  more.current = onMore;
+  useEffect(() => {
+    if (!button.current) return;
+    const seen = new IntersectionObserver((all) => all.some((one) => one.isIntersecting) && more.current());
+    seen.observe(button.current);
+    return () => seen.disconnect();
+    // Anew for each page: what stays in sight is no change of sight.
+  }, [shown]);
+  return (
+    <p class="more">
+      <button type="button" ref={button} onClick={onMore}>
+        Show more
+      </button>{" "}
+      <span class="soft">{shown} are shown</span>
+    </p>
   );
 }
 
@@ -94,14 +122,14 @@ function picture(name: string, kind: "thumb.jpg" | "image.png"): string {
 }
 
 /** What is marked, and what is done with all of it. */
-function Marked({ names, all, onMark }: { names: string[]; all: string[]; onMark: (names: string[]) => void }) {
+function Marked({ names, all, more, onMark }: { names: string[]; all: string[]; more: boolean; onMark: (names: string[]) => void }) {
   const [asks, setAsks] = useState(false);
   return (
     <div class="row marked" role="group" aria-label="marked views">
       <span class="soft">{names.length === 0 ? "none marked" : `${names.length} marked`}</span>
       {names.length < all.length && (
         <button type="button" class="small" onClick={() => onMark(all)}>
-          Mark all {all.length}
+          {more ? "Mark these" : "Mark all"} {all.length}
         </button>
       )}
       {names.length > 0 && (
@@ -197,8 +225,8 @@ function Card({ target, marked, onMark, onOpen }: CardOf) {
 }
 
 function Open({ target, onClose }: { target: Target; onClose: () => void }) {
-  const runs = use((m) => m.runs).filter((run) => run.target === target.name && run.job === "reposition");
   const may = use((m) => m.me?.role !== "viewer");
+  const needed = use((m) => (m.state?.jobs ?? []).some((job) => job.state.state !== "ended" && job.about === target.name));
   const [name, setName] = useState(target.name);
   const [slide, setSlide] = useState(target.slide ?? "");
   const [note, setNote] = useState(target.note ?? "");
@@ -224,7 +252,7 @@ function Open({ target, onClose }: { target: Target; onClose: () => void }) {
         >
           <label>
             <span class="soft">name</span>
-            <input value={name} onInput={(e) => setName(e.currentTarget.value)} />
+            <input value={name} readOnly={needed} onInput={(e) => setName(e.currentTarget.value)} />
           </label>
           <label>
             <span class="soft">slide</span>
@@ -239,26 +267,23 @@ function Open({ target, onClose }: { target: Target; onClose: () => void }) {
           </button>
           <span class="grow" />
           {sure ? (
-            <button type="button" class="danger" onClick={() => void remove(target.name).then(onClose)}>
+            <button type="button" class="danger" disabled={needed} onClick={() => void remove(target.name).then(onClose)}>
               Yes, take it out
             </button>
           ) : (
-            <button type="button" onClick={() => setSure(true)}>
+            <button type="button" disabled={needed} onClick={() => setSure(true)}>
               Remove …
             </button>
           )}
+          {needed && <p class="soft">{words.needed}</p>}
         </form>
       )}
-      <h3>Visits</h3>
-      {runs.length === 0 && <p class="soft">Nobody came back to it yet.</p>}
-      {runs.slice(0, 20).map((run) => (
-        <Row key={run.id} run={run} />
-      ))}
+      <Visits target={target} />
       <div class="row end">
         <button
           type="button"
           onClick={() => {
-            set({ chosen: target.name });
+            set({ chosen: target.name, chosenTarget: target });
             onClose();
           }}
         >
