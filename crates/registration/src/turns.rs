@@ -15,8 +15,11 @@ const STRETCH: f64 = 0.06;
 /// Samples along a period at least, and all samples of an image at most: the pixels decide later to a pixel and a half.
 const LEAST_PERIOD: f64 = 8.0;
 const MOST_SAMPLES: usize = 80_000;
-/// Places about which each turn is told.
+/// Places about which each turn is told,
 const MOST: usize = 3;
+/// and how well what the periods do not explain must correlate with itself there: cells that lie a little off where they should, each its own
+/// way, do not.
+const ALIKE: f32 = 0.25;
 
 /// The first transform, followed by each turn under which the target may look like itself: rivals that need no feature to be thought of.
 /// None of a target without two periods; without any nothing is computed.
@@ -76,6 +79,8 @@ struct Odd {
     every: usize,
     fourier: Fourier,
     spectrum: Vec<C32>,
+    /// The sum of its squares, as many times as a correlation has it that is not divided by the number of values.
+    energy: f32,
 }
 
 impl Odd {
@@ -96,10 +101,12 @@ impl Odd {
         let plane = unexplained(&light, size, periods)?;
         let fourier = Fourier::new(size.map(|n| smooth_size(2 * n)));
         let spectrum = spectrum(&fourier, size, |x, y| plane.values()[y * size[0] + x]);
+        let squares = plane.values().iter().map(|v| v * v).sum::<f32>();
         Some(Self {
             plane,
             size,
             every,
+            energy: squares * fourier.len() as f32,
             fourier,
             spectrum,
         })
@@ -135,7 +142,9 @@ impl Odd {
             for x in 1 - w as i64..w as i64 {
                 let here = at(x, y);
                 let around = (-1..=1).flat_map(|j| (-1..=1).map(move |i| (i, j)));
-                if here > 0.0 && around.into_iter().all(|(i, j)| at(x + i, y + j) <= here) {
+                if here > ALIKE * self.energy
+                    && around.into_iter().all(|(i, j)| at(x + i, y + j) <= here)
+                {
                     peaks.push((here, [x, y]));
                 }
             }
