@@ -52,7 +52,8 @@ export async function refresh(): Promise<void> {
   ]);
   const wanted = get().chosen;
   let found = targets.find((t) => t.name === wanted) ?? null;
-  if (wanted !== null && !found) found = await ask<Target>("GET", `targets/${encodeURIComponent(wanted)}`).catch(() => null);
+  // Only of more than are at hand it may be another one; else it is not kept, or not yet.
+  if (wanted !== null && !found && targets.length >= NEWEST) found = await ask<Target>("GET", `targets/${encodeURIComponent(wanted)}`).catch(() => null);
   // Somebody may have chosen another meanwhile.
   const now = get().chosen;
   const is = now !== wanted ? {} : { chosen: found?.name ?? targets[0]?.name ?? null, chosenTarget: found };
