@@ -69,10 +69,7 @@ impl SelfLikeness {
         if width < 16 || height < 16 {
             return None;
         }
-        let plane = Plane::band(image, every as f64);
-        let values: Vec<f32> = (0..width * height)
-            .map(|i| plane.values()[(i / width) * every * image.width() + (i % width) * every])
-            .collect();
+        let values = Plane::thinned(image, every).into_values();
         let hann = |k: usize, n: usize| {
             0.5 - 0.5 * (std::f64::consts::TAU * (k as f64 + 0.5) / n as f64).cos()
         };

@@ -61,6 +61,18 @@ impl Plane {
         fine
     }
 
+    /// The same of every so many pixels along both axes, and blurred by as many.
+    pub(crate) fn thinned(image: &GrayImage, every: usize) -> Self {
+        let fine = Self::band(image, every as f64);
+        let (width, height) = (image.width() / every, image.height() / every);
+        let at = |i: usize| fine.data[(i / width) * every * fine.width + (i % width) * every];
+        Self {
+            width,
+            height,
+            data: (0..width * height).map(at).collect(),
+        }
+    }
+
     /// Of its values, row by row; `None` when they are not as many.
     pub(crate) fn from_values([width, height]: [usize; 2], data: Vec<f32>) -> Option<Self> {
         (data.len() == width * height).then_some(Self {

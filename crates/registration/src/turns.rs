@@ -90,13 +90,8 @@ impl Odd {
         let every = (1..finest.max(1))
             .find(|f| target.width() * target.height() <= MOST_SAMPLES * f * f)
             .unwrap_or(finest.max(1));
-        let size = [target.width() / every, target.height() / every];
-        let (fine, columns) = (Plane::band(target, every as f64), target.width());
-        let sample = |i: usize| {
-            let (x, y) = (i % size[0], i / size[0]);
-            fine.values()[y * every * columns + x * every]
-        };
-        let light = Plane::from_values(size, (0..size[0] * size[1]).map(sample).collect())?;
+        let light = Plane::thinned(target, every);
+        let size = [light.width(), light.height()];
         let periods = periods_px.map(|p| p.map(|v| v / every as f64));
         let plane = unexplained(&light, size, periods)?;
         let fourier = Fourier::new(size.map(|n| smooth_size(2 * n)));

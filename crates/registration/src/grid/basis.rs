@@ -8,6 +8,7 @@ use scopeservo_geometry::{Mat2, Vec2};
 /// One period may be so many times the other, and the angle between them so far from a right one: pixels need be neither square nor upright.
 const ANISOTROPY: f64 = 1.12;
 const SKEW_RAD: f64 = 0.1;
+
 /// The shortest two periods as columns, px: the first the one nearest to image x, the second that nearest to image y.
 pub(super) fn basis_of(image: &GrayImage) -> Result<Mat2, NoGrid> {
     let likeness = SelfLikeness::of(image).ok_or(NoGrid::NothingRepeats)?;
