@@ -1,8 +1,11 @@
 //! Which of two transforms is right, asked of the pixels: places that only one of them explains decide, a defect, a die's number, an odd cell
 //! in a grid.
 
-use crate::Rival;
 use crate::likeness::{Comparison, Pair};
+use crate::rival::shifted;
+use crate::turns::turned;
+use crate::{Estimate, Rival};
+use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, Vec2};
 
 /// A transform that explains this share of what the other explains repeats it.
@@ -16,9 +19,25 @@ const WHOLE_PERIOD: f64 = 0.8;
 /// A period shorter than this, pixels, is below what patches can tell.
 const SHORTEST_PX: f64 = 3.0;
 
-/// A rival that nothing tells from the transform that was found, if there is one: the nearest, which of a lattice is its period. Patches
-/// count whose place in the view `counts`. `trusted`: what decides for the transform is not itself fixed to the camera.
+/// A rival that nothing tells from the transform that was found, if there is one: the nearest, which of a lattice is its period. Asked are
+/// `rivals`, those by the target's periods, and when none of them is open those by its turns. Patches count whose place in the view `counts`.
+/// `trusted`: what decides for the transform is not itself fixed to the camera.
 pub fn undecided(
+    pictures: &Pair,
+    first: &Estimate,
+    (target, periods_px): (&GrayImage, &[Vec2]),
+    rivals: &[Rival],
+    trusted: bool,
+    counts: impl Fn(Vec2) -> bool,
+) -> Option<Rival> {
+    let transform = &first.target_from_view;
+    let open = |rivals: &[Rival]| open(pictures, transform, rivals, trusted, &counts);
+    let shifted = shifted(first, periods_px);
+    open(&[&shifted, rivals].concat()).or_else(|| open(&turned(first, target, periods_px)))
+}
+
+/// The nearest of some rivals that nothing tells from the first transform.
+fn open(
     pictures: &Pair,
     first: &Affine2,
     rivals: &[Rival],

@@ -48,4 +48,3 @@ pub use pictures::{Allow, PictureVerdict, flipped, register_pictures};
 pub use prior::{Prior, RotationPrior, ScalePrior, Shapes};
 pub use register::{register, register_correspondences};
 pub use rival::{Rival, find_rivals, shifted};
-pub use turns::turned;

@@ -5,7 +5,7 @@ use crate::corners::centre;
 use crate::likeness::Pair;
 use crate::{
     Estimate, NotFound, Options, Prior, Registration, Rival, find_rivals, periods, register,
-    shifted, turned, undecided,
+    undecided,
 };
 use scopeservo_features::{FeatureEngine, FeatureError, Features, GrayImage};
 use scopeservo_geometry::{Affine2, Mat2};
@@ -162,21 +162,19 @@ fn judge(
             };
         }
     }
-    let periods = periods(target);
-    let mut rivals = shifted(&estimate, &periods);
-    rivals.extend(find_rivals(
+    let rivals = find_rivals(
         view_features,
         target_features,
         answer,
         prior,
         options,
         false,
-    ));
+    );
     // What decides for an image that stays may itself be fixed to the camera.
     let trusted = !stays || equal;
-    let open = |rivals: &[Rival]| undecided(&pair, &transform, rivals, trusted, |_| true);
-    let turns = || turned(&estimate, target, &periods);
-    if let Some(rival) = open(&rivals).or_else(|| open(&turns())) {
+    let periods_px = periods(target);
+    let of_target = (target, &*periods_px);
+    if let Some(rival) = undecided(&pair, &estimate, of_target, &rivals, trusted, |_| true) {
         return PictureVerdict::Ambiguous { estimate, rival };
     }
     PictureVerdict::Found {

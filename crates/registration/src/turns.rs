@@ -23,7 +23,7 @@ const ALIKE: f32 = 0.25;
 
 /// The first transform, followed by each turn under which the target may look like itself: rivals that need no feature to be thought of.
 /// None of a target without two periods; without any nothing is computed.
-pub fn turned(first: &Estimate, target: &GrayImage, periods_px: &[Vec2]) -> Vec<Rival> {
+pub(crate) fn turned(first: &Estimate, target: &GrayImage, periods_px: &[Vec2]) -> Vec<Rival> {
     if periods_px.is_empty() {
         return Vec::new();
     }

@@ -8,7 +8,7 @@ use crate::proof::{Aside, FOLLOWS, Parallax, Proved, Seen, Station, far_from_goa
 use crate::vision::{grab, gray};
 use crate::{Expected, FrameRole, PlanarPose, ServoEnd, ServoError, ServoTask, Sink};
 use scopeservo_registration::likeness::Pair;
-use scopeservo_registration::{Estimate, Prior, Rival, shifted, turned, undecided};
+use scopeservo_registration::{Estimate, Prior, Rival, undecided};
 use scopeservo_scope::{Instrument, ScopeError};
 use std::borrow::Cow;
 
@@ -81,8 +81,7 @@ impl Servo {
             },
             fixed: &self.proof.fixed,
         };
-        let mut rivals = shifted(estimate, &task.target.periods_px);
-        rivals.extend(task.rivals(&sight.measured, &expected));
+        let rivals = task.rivals(&sight.measured, &expected);
         let periods_px = &task.target.periods_px;
         if rivals.is_empty() && periods_px.is_empty() {
             return None;
@@ -98,8 +97,14 @@ impl Servo {
             transform.linear.det().abs().sqrt(),
         );
         let counts = |p| !self.proof.fixed.holds(p);
-        let open = |rivals: &[Rival]| undecided(&pair, transform, rivals, true, counts);
-        open(&rivals).or_else(|| open(&turned(estimate, &picture, periods_px)))
+        undecided(
+            &pair,
+            estimate,
+            (&picture, periods_px),
+            &rivals,
+            true,
+            counts,
+        )
     }
 
     /// Whether what agrees in this frame is known to be the specimen: asked of a frame that passes, and of one that did not follow the

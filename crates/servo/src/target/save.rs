@@ -9,9 +9,7 @@ use crate::vision::{centre_px, grab, gray, same_objective};
 use crate::{Calibration, FrameRole, ServoError, Sink, VisionOptions};
 use scopeservo_features::{Features, GrayImage, Keypoint};
 use scopeservo_registration::likeness::Pair;
-use scopeservo_registration::{
-    Estimate, Prior, Rival, find_rivals, periods, shifted, turned, undecided,
-};
+use scopeservo_registration::{Estimate, Prior, find_rivals, periods, shifted, undecided};
 use scopeservo_scope::{ErrorKind, Frame, Instrument, ObjectiveId, StagePose};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -114,20 +112,17 @@ impl SaveTarget {
         };
         let moved = prior.moved_px.is_some();
         let features = &target.features;
-        let mut rivals = shifted(found, &target.periods_px);
-        rivals.extend(find_rivals(
-            second_features,
-            features,
-            &answer,
-            prior,
-            options,
-            moved,
-        ));
+        let rivals = find_rivals(second_features, features, &answer, prior, options, moved);
         let pair = Pair::new(second, image, 1.0);
         // Without a move what decides may itself be fixed to the camera.
-        let transform = &found.target_from_view;
-        let open = |rivals: &[Rival]| undecided(&pair, transform, rivals, moved, &counts);
-        match open(&rivals).or_else(|| open(&turned(found, image, &target.periods_px))) {
+        match undecided(
+            &pair,
+            found,
+            (image, &target.periods_px),
+            &rivals,
+            moved,
+            counts,
+        ) {
             None => Ok(()),
             Some(rival) => Err(ServoError::Repeats {
                 rival,
