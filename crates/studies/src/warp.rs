@@ -174,7 +174,7 @@ pub fn random_pair(
 }
 
 /// An image whose centre shows `centre`, turned by the angle, with pixels of `pitch` source pixels.
-pub(crate) fn about(centre: Vec2, angle_rad: f64, pitch: f64) -> Affine2 {
+pub fn about(centre: Vec2, angle_rad: f64, pitch: f64) -> Affine2 {
     let linear = Mat2::rotation(angle_rad) * pitch;
     let middle = [(SIZE[0] as f64 - 1.0) / 2.0, (SIZE[1] as f64 - 1.0) / 2.0];
     let moved = linear * middle;

@@ -7,6 +7,7 @@
 
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
+mod camera;
 mod scenes;
 
 use clap::Parser;
