@@ -4,6 +4,7 @@ use crate::app::App;
 use crate::asked::Done;
 use crate::desk::{End, Entry, was_stopped};
 use crate::error::ApiError;
+use crate::look;
 use scopeservo_library::{NewTarget, Targets as _};
 use scopeservo_report::{self as report, Recorder, Work, WorkEnd, work_html};
 use scopeservo_servo::{FrameRole, Sink as _, Stamped, Target};
@@ -48,11 +49,12 @@ fn in_any_case(app: &App, entry: &Entry, work: impl FnOnce()) {
     app.learn_left();
     app.has_changed();
     let message = "the program made a mistake while this job ended, told on its terminal: what came of it is not kept. The instrument stands";
-    entry.finish(End {
+    let end = End {
         answer: None,
         error: Some(ApiError::fault(message)),
         run: None,
-    });
+    };
+    entry.finish(end);
 }
 
 fn followed(app: &App, mut task: Task, job: Job<Done>) {
@@ -111,11 +113,12 @@ fn followed(app: &App, mut task: Task, job: Job<Done>) {
     }
     app.learn_left();
     app.has_changed();
-    task.entry.finish(End {
+    let end = End {
         answer: (!answer.is_null()).then_some(answer),
         error,
         run: run.flatten(),
-    });
+    };
+    look::after(app, || task.entry.finish(end));
 }
 
 /// The answer as programs read it, and what is an error.

@@ -18,8 +18,8 @@ const HELD: Duration = Duration::from_millis(25);
 /// What stands is asked again so often: an answer may take a controller tens of milliseconds.
 const AT_REST: Duration = Duration::from_secs(1);
 
-/// A look at the instrument. What stands still is not asked where it is each time.
-fn look(app: &App, before: &Standing) -> Standing {
+/// A look at the instrument. What stands still is not asked where it is each time, but when it `is_due`.
+fn look(app: &App, before: &Standing, is_due: bool) -> Standing {
     let scope = &app.bench.scope;
     let gate = scope.gate();
     let mut trouble = None;
@@ -29,13 +29,14 @@ fn look(app: &App, before: &Standing) -> Standing {
         }
     };
     let mut now = Standing {
+        number: before.number + 1,
         time_s: scope.clock().now().seconds(),
         ..before.clone()
     };
     ask(gate
         .poll()
         .map(|motion| now.moving = motion == Motion::Moving));
-    let is_due = now.moving || before.moving || before.at_time.elapsed() > AT_REST;
+    let is_due = is_due || now.moving || before.moving || before.at_time.elapsed() > AT_REST;
     if is_due || before.at.is_none() {
         let at = gate.position();
         ask(at.map(|at| {
@@ -59,11 +60,13 @@ fn look(app: &App, before: &Standing) -> Standing {
 }
 
 /// As whoever asks is told.
-pub(crate) fn told(standing: &Standing, app: &App, caller: &Caller) -> Value {
+pub(crate) fn told(app: &App, caller: &Caller) -> Value {
     let session = app.console.session();
     let questions = session.questions().open();
     let jobs = app.desk.all();
-    let recent = jobs.iter().rev().take(5).map(|entry| entry.summary());
+    let recent: Vec<_> = jobs.iter().rev().take(5).map(|e| e.summary()).collect();
+    // After the jobs: a place from before the end of one does not stand beside its end.
+    let standing = app.standing.borrow().clone();
     json!({
         "time_s": standing.time_s,
         "at": standing.at.as_ref().map(Place::from),
@@ -80,7 +83,7 @@ pub(crate) fn told(standing: &Standing, app: &App, caller: &Caller) -> Value {
         "there": app.who_is_there(),
         "may_not_start": app.bars(caller).err(),
         "slide": crate::lock(&app.slide).clone(),
-        "jobs": recent.collect::<Vec<_>>(),
+        "jobs": recent,
         "questions": questions.iter().map(question).collect::<Vec<_>>(),
         "camera": app.live.camera(),
         "revision": app.revision.load(Ordering::SeqCst),
@@ -113,13 +116,32 @@ fn question(question: &Question) -> Value {
 
 /// Looks until the server ends.
 pub(crate) fn keep_looking(app: &Arc<App>) {
-    let mut before = Standing::unknown();
     while !app.ends.load(Ordering::SeqCst) {
-        let now = look(app, &before);
-        before = now.clone();
-        app.standing.send_replace(Arc::new(now));
+        let before = app.standing.borrow().clone();
+        let now = look(app, &before, false);
+        // A look that began before a job ended says nothing of where the job left the instrument.
+        app.standing.send_if_modified(|newest| {
+            let is_next = newest.number == before.number;
+            if is_next {
+                *newest = Arc::new(now);
+            }
+            is_next
+        });
         std::thread::sleep(OFTEN);
     }
+}
+
+/// Looks at where a job left the instrument, and then says that the job has ended: who reads that it has reads no place from before.
+pub(crate) fn after(app: &App, has_ended: impl FnOnce()) {
+    let before = app.standing.borrow().clone();
+    let now = look(app, &before, true);
+    app.standing.send_modify(|newest| {
+        let number = now.number.max(newest.number + 1);
+        *newest = Arc::new(Standing { number, ..now });
+    });
+    has_ended();
+    // All who watch hear of it now.
+    app.standing.send_modify(|_| {});
 }
 
 /// Ends what nobody holds any more, until the server ends: on a thread of its own, as a look waits for devices.

@@ -162,8 +162,7 @@ impl Client {
     }
 
     async fn tell_standing(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
-        let standing = self.app.standing.borrow().clone();
-        let state = look::told(&standing, &self.app, &self.caller);
+        let state = look::told(&self.app, &self.caller);
         tell(socket, json!({"type": "state", "state": state})).await
     }
 

@@ -6,6 +6,8 @@ use std::time::Instant;
 /// What was seen of the instrument, and when.
 #[derive(Debug, Clone)]
 pub(crate) struct Standing {
+    /// Counts the looks.
+    pub(crate) number: u64,
     /// When the stage said where it is.
     pub(crate) at_time: Instant,
     pub(crate) at: Option<StagePose>,
@@ -24,6 +26,7 @@ impl Standing {
     /// Before anybody looked.
     pub(crate) fn unknown() -> Self {
         Self {
+            number: 0,
             at_time: Instant::now(),
             at: None,
             homed: false,

@@ -234,6 +234,35 @@ fn one_job_at_a_time_and_a_stop_ends_it_for_whoever_asks() {
 }
 
 #[test]
+fn who_reads_that_a_job_has_ended_reads_where_it_left_the_instrument() {
+    let bench = Bench::demo(REAL);
+    let visitor = bench.visitor();
+    let x = |state: &serde_json::Value| state["at"]["x_um"].as_f64().unwrap();
+    let mut goal = x(&visitor.state());
+    for k in 0..20 {
+        goal += 40.0;
+        let id = visitor.start(&json!({"job": "move", "to": {"x_um": goal}}));
+        let state = match k % 2 {
+            // By the job, and by the state itself.
+            0 => {
+                visitor.ended(id);
+                visitor.state()
+            }
+            _ => loop {
+                let state = visitor.state();
+                let job = &state["jobs"][0];
+                if job["id"] == id && job["state"]["state"] == "ended" {
+                    break state;
+                }
+                std::thread::sleep(Duration::from_millis(5));
+            },
+        };
+        assert!((x(&state) - goal).abs() < 3.0, "{goal}: {state}");
+        assert_eq!(state["moving"], false);
+    }
+}
+
+#[test]
 fn what_is_held_moves_and_stands_when_it_is_let_go_or_nobody_is_there() {
     let bench = Bench::demo(REAL);
     let visitor = bench.visitor();

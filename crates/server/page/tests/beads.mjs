@@ -48,10 +48,17 @@ export async function onBeads(browser) {
   const page = await anna(browser, link);
   await shoot(page, "desk", "beads");
   await wellFormed(page, "beads");
+  // What ended is shown a moment later, and only then keys and presses count.
+  const shown = async () => {
+    await idle(page);
+    await page.locator("button.verb:enabled", { hasText: "Save" }).waitFor();
+    await page.locator(".paper:not(.watched)").waitFor();
+  };
   const done = async (kind) => {
     await until(page, (s) => s.jobs[0]?.kind === kind && s.jobs[0].state.state === "ended", `${kind} has not ended`);
     const job = await page.evaluate((id) => fetch(`api/v1/jobs/${id}`).then((answer) => answer.json()), (await state(page)).jobs[0].id);
     assert.equal(job.error, null, JSON.stringify(job.error));
+    await shown();
     return job;
   };
   // Their devices are simulated and say so; and what this stage cannot do is not offered.
@@ -64,7 +71,7 @@ export async function onBeads(browser) {
     await page.keyboard.down(key);
     await until(page, ({ at }) => Math.hypot(at.x_um - from.x_um, at.y_um - from.y_um) > 3, `${key} moved nothing`);
     await page.keyboard.up(key);
-    await idle(page);
+    await shown();
   };
   await held("ArrowRight");
   await held("ArrowLeft");

@@ -41,8 +41,7 @@ async fn instrument(State(app): Shared) -> Answer {
 }
 
 async fn state(State(app): Shared, Extension(caller): Extension<Caller>) -> Json<Value> {
-    let standing = app.standing.borrow().clone();
-    Json(look::told(&standing, &app, &caller))
+    Json(look::told(&app, &caller))
 }
 
 async fn stop(State(app): Shared, Extension(caller): Extension<Caller>) -> Answer {
