@@ -445,7 +445,7 @@ fn blocks_without_features_are_asked_alone_where_there_are_enough() {
 
 /// Features lie on what both images show, so that the blocks without any are those that something covers.
 #[test]
-fn what_covers_a_third_is_no_evidence_and_what_looks_alike_in_a_quarter_is() {
+fn what_covers_two_fifths_is_no_evidence_and_what_looks_alike_in_a_quarter_or_scattered_is() {
     let other = Scene::new(77).image(&placed([0.0; 2], 0.4, 1.0), 1.0);
     let seen = |seed: u64, alike: f64| {
         let case = case(seed, 1.0, 0.1, [0.6, 0.6])
@@ -458,10 +458,41 @@ fn what_covers_a_third_is_no_evidence_and_what_looks_alike_in_a_quarter_is() {
         weigh(&case.pictures(), &case.target_from_view, &fitted)
     };
     for seed in [81, 82, 83] {
-        for alike in [208.0, 256.0] {
+        for alike in [144.0, 192.0, 208.0, 256.0] {
             let covered = seen(seed, alike);
             assert_ne!(covered.judgement, Judgement::Contradicts, "{covered:?}");
         }
+        // Grey over two fifths, in a corner or in the middle of one side.
+        for at in [[0.0, 0.0], [1.0, 0.4], [0.3, 1.0]] {
+            let case = case(seed, 1.0, 0.1, [0.6, 0.6]);
+            let (w, h) = (SIZE[0] as f64, SIZE[1] as f64);
+            let (sides, share) = ([0.63 * w, 0.63 * h], [0.37 * w, 0.37 * h]);
+            let covers =
+                |p: Vec2| (0..2).all(|k| (0.0..sides[k]).contains(&(p[k] - at[k] * share[k])));
+            let case = case
+                .view(|p, v| if covers(p) { 0.5 } else { v })
+                .noisy(0.01);
+            let all = (0..4800).map(|i| [4.0 * (i % 80) as f64, 4.0 * (i / 80) as f64]);
+            let fitted: Vec<Vec2> = all.filter(|p| !covers(*p)).collect();
+            let covered = weigh(&case.pictures(), &case.target_from_view, &fitted);
+            assert_ne!(
+                covered.judgement,
+                Judgement::Contradicts,
+                "{at:?} {covered:?}"
+            );
+        }
+        // Of another place as much looks alike, in spots that lie scattered, as dirt on the camera does.
+        let spot = |p: Vec2| {
+            let cell = p.map(|v| (v / 40.0) as u64);
+            (cell[0] * 7 + cell[1] * 5 + seed) % 5 < 2
+        };
+        let case = case(seed, 1.0, 0.1, [0.6, 0.6])
+            .view(|p, v| if spot(p) { v } else { at(&other, p) })
+            .noisy(0.01);
+        let all = (0..4800).map(|i| [4.0 * (i % 80) as f64, 4.0 * (i / 80) as f64]);
+        let fitted: Vec<Vec2> = all.filter(|p| spot(*p)).collect();
+        let scattered = weigh(&case.pictures(), &case.target_from_view, &fitted);
+        assert_eq!(scattered.judgement, Judgement::Contradicts, "{scattered:?}");
         for alike in [48.0, 80.0] {
             let elsewhere = seen(seed, alike);
             assert_eq!(elsewhere.judgement, Judgement::Contradicts, "{elsewhere:?}");

@@ -37,7 +37,7 @@ impl Default for VisionOptions {
             view_features: 3000,
             target_features: 8000,
             registration: scopeservo_registration::Options::default(),
-            correlation: false,
+            correlation: true,
         }
     }
 }

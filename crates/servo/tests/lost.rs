@@ -6,7 +6,7 @@ use common::{Listener, PLACE_UM, bench, one_objective};
 use scopeservo_features::GrayImage;
 use scopeservo_registration::{NotFound, flipped};
 use scopeservo_servo::{
-    Calibrate, CalibrateOptions, Event, NoSink, Servo, ServoEnd, ServoOptions, ServoTask,
+    Calibrate, CalibrateOptions, Event, NoSink, Picture, Servo, ServoEnd, ServoOptions, ServoTask,
     VisionOptions, run,
 };
 
@@ -62,6 +62,7 @@ fn a_target_that_is_there_as_a_mirror_image_only_is_told_so() {
         .engine
         .features(&image, vision.target_features)
         .unwrap();
+    target.picture = Some(Picture::of(&image));
     for [x, y] in [[0.0, 0.0], [20.0, -10.0], [-15.0, 12.0]] {
         bench
             .twin

@@ -31,8 +31,14 @@ const CONTRADICTS: f64 = 0.0;
 /// of at least so many.
 const LEAST_BLOCKS: usize = 10;
 /// Blocks without features are also those that something covers. Where this share of all blocks agrees, with features or without, they are no
-/// evidence against a transform: under a wrong one a fortieth does.
-const COVERED_AT_MOST: f64 = 0.5;
+/// evidence against a transform: under a wrong one a fortieth does,
+const SEEN: f64 = 0.5;
+/// nor where this share does, all in one place, as what covers the rest leaves it: of those beside a block that agrees so many do. What is fixed to
+/// the camera lies scattered.
+const SEEN_IN_ONE_PLACE: f64 = 0.35;
+const BESIDE_AGREE: f64 = 0.8;
+/// So many are beside a block.
+const BESIDE: usize = 4;
 
 /// What the pixels say of a transform.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -84,8 +90,7 @@ pub fn weigh(pictures: &Pictures<'_>, target_from_view: &Affine2, fitted: &[Vec2
     let scale = target_from_view.linear.det().abs().sqrt();
     let side_px = SIDE as f64 * (1.0 / scale).max(1.0);
     let asked = asked(pictures, target_from_view);
-    let all_agree = asked.iter().filter(|(w, _)| w.agrees).count() as f64;
-    let covered = all_agree >= COVERED_AT_MOST * asked.len() as f64;
+    let covered = is_covered(&asked);
     let (free, used): (Vec<_>, Vec<_>) = asked.into_iter().partition(|(witness, _)| {
         let near = |p: &Vec2| {
             let off = [0, 1].map(|k| (p[k] - witness.in_view[k]).abs());
@@ -115,6 +120,28 @@ pub fn weigh(pictures: &Pictures<'_>, target_from_view: &Affine2, fitted: &[Vec2
         side_px,
         blocks: counted.into_iter().map(|(witness, _)| witness).collect(),
     }
+}
+
+/// Whether blocks that do not agree may be covered by something.
+fn is_covered(asked: &[(Witness, f64)]) -> bool {
+    let agree: Vec<&Witness> = asked.iter().map(|a| &a.0).filter(|w| w.agrees).collect();
+    let share = agree.len() as f64 / asked.len().max(1) as f64;
+    if share >= SEEN || share < SEEN_IN_ONE_PLACE {
+        return share >= SEEN;
+    }
+    let beside = |of: &Witness| {
+        let far = |w: &Witness| {
+            let off = [0, 1].map(|k| w.in_view[k] - of.in_view[k]);
+            off[0].hypot(off[1])
+        };
+        let mut all: Vec<(f64, bool)> = asked.iter().map(|(w, _)| (far(w), w.agrees)).collect();
+        all.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // The nearest is the block itself.
+        let others = all.iter().skip(1).take(BESIDE);
+        others.filter(|(_, agrees)| *agrees).count()
+    };
+    let all: usize = agree.iter().map(|w| beside(w)).sum();
+    all as f64 >= BESIDE_AGREE * (BESIDE * agree.len()) as f64
 }
 
 fn judgement(asked: usize, log10_chance: Option<f64>) -> Judgement {

@@ -63,7 +63,7 @@ impl Record {
 
 /// Counts, and times the changes.
 #[derive(Default)]
-struct Watch<'a> {
+pub(crate) struct Watch<'a> {
     trace: bool,
     /// What judges, and what to come to.
     judge: Option<(&'a Twin, Truth)>,
@@ -73,6 +73,17 @@ struct Watch<'a> {
     target: Option<u64>,
     change_began: Option<f64>,
     changing_s: f64,
+}
+
+impl<'a> Watch<'a> {
+    /// Says what happens, where that is asked for, and how far off the last image truly was.
+    pub(crate) fn of(trace: bool, twin: &'a Twin, aim: &Truth) -> Self {
+        Self {
+            trace,
+            judge: Some((twin, aim.clone())),
+            ..Self::default()
+        }
+    }
 }
 
 impl Sink for Watch<'_> {
@@ -86,6 +97,12 @@ impl Sink for Watch<'_> {
             let mut text = format!("{:.2} {:?}", stamped.time_s, stamped.event);
             text.truncate(400);
             println!("{text}");
+            if let (Some((twin, aim)), Some(last)) = (&self.judge, self.last)
+                && let Some(truth) = twin.truth(last)
+            {
+                let (um, deg) = apart(aim, &truth);
+                println!("     truly {um:.2} um, {deg:.4} deg");
+            }
         }
         match stamped.event {
             Event::PhaseStarted { phase, .. } => {

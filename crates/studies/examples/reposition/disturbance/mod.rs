@@ -6,11 +6,11 @@ mod table;
 
 use crate::faults::Many;
 use crate::scene::{Bench, Known, Scene, draw, of};
-use crate::whole::{Start, apart, begin, word};
+use crate::whole::{Start, Watch, apart, begin, word};
 use camera::Disturbed;
 use kinds::{ALONE, Kind, PAPER};
 use scopeservo_geometry::SplitMix64;
-use scopeservo_servo::{NoSink, Reposition, RepositionOptions, Verdict, run as steps};
+use scopeservo_servo::{Reposition, RepositionOptions, Verdict, run as steps};
 use scopeservo_studies::rounds::{Outcome, rounds};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -97,7 +97,8 @@ pub(crate) fn study(
     known: &[Known],
 ) -> Outcome<usize> {
     let cases = cases(pairs);
-    let one = |index: u64| run(&cases[(index / EACH) as usize], index, known);
+    let trace = many.only.is_some();
+    let one = |index: u64| run(&cases[(index / EACH) as usize], index, known, trace);
     if let Some(index) = many.only {
         println!("{}", serde_json::to_string_pretty(&one(index)?)?);
         return Ok(0);
@@ -139,7 +140,7 @@ fn scene(index: u64, objective: &'static str) -> Scene {
     scene
 }
 
-fn run(case: &Case, index: u64, known: &[Known]) -> Outcome<Record> {
+fn run(case: &Case, index: u64, known: &[Known], trace: bool) -> Outcome<Record> {
     let scene = scene(index % EACH, case.objective);
     let (specimen, slide) = scene.specimen()?;
     let mut record = Record {
@@ -171,7 +172,8 @@ fn run(case: &Case, index: u64, known: &[Known]) -> Outcome<Record> {
     let mut reposition =
         Reposition::new(target, RepositionOptions::default()).with_calibrations(of(known, &scene));
     let began = bench.scope.clock().now().seconds();
-    let answer = steps(&mut reposition, &bench.scope, &mut NoSink);
+    let mut watch = Watch::of(trace, &bench.twin, &aim);
+    let answer = steps(&mut reposition, &bench.scope, &mut watch);
     record.seconds = bench.scope.clock().now().seconds() - began;
     (record.true_um, record.true_deg) = apart(&aim, &bench.twin.truth_now());
     match answer {
