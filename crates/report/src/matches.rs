@@ -39,9 +39,10 @@ pub(crate) fn section(r: &Report<'_>) -> String {
         let _ = writeln!(
             out,
             "<figure class=\"pairs\"><div class=\"scroll\">{svg}</div><figcaption><b>{objective} to {goal}.</b> First view (left) and \
-             saved view (right): {} among {}{share}.</figcaption></figure>",
+             saved view (right): {} among {}{}{share}.</figcaption></figure>",
             count(first.inliers, "agreeing place"),
             count(first.matches, "match").replace("matchs", "matches"),
+            first.located_by(),
         );
         out.push_str(&figure(r, m));
     }
@@ -50,7 +51,7 @@ pub(crate) fn section(r: &Report<'_>) -> String {
     }
     format!(
         "<p class=\"lead\">Each line joins one place of the specimen in the first view of a magnification and in the saved view. \
-         Places are recognised by their look alone; only those that agree on one shift, turn and scale are kept.</p>\n{out}"
+         Places are recognised by their look alone, unless said otherwise; only those that agree on one shift, turn and scale are kept.</p>\n{out}"
     )
 }
 

@@ -3,8 +3,8 @@
 use scopeservo_geometry::Affine2;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{
-    Calibration, ChainPlace, ChainView, FocusResult, FocusSweep, Phase, PixelsSeen, PoseError,
-    Promised, Velocity,
+    Calibration, ChainPlace, ChainView, FocusResult, FocusSweep, LocatedBy, Phase, PixelsSeen,
+    PoseError, Promised, Velocity,
 };
 
 /// One frame of the servo in which the target was seen.
@@ -14,6 +14,7 @@ pub(crate) struct Iteration<'a> {
     pub(crate) error: &'a PoseError,
     pub(crate) velocity: &'a Velocity,
     pub(crate) target_from_view: &'a Affine2,
+    pub(crate) by: LocatedBy,
     pub(crate) inliers: usize,
     pub(crate) matches: usize,
     pub(crate) sigma_px: f64,
@@ -22,6 +23,17 @@ pub(crate) struct Iteration<'a> {
     pub(crate) pixels: Option<&'a PixelsSeen>,
     /// Where the move before was to lead.
     pub(crate) promised: Option<&'a Promised>,
+}
+
+impl Iteration<'_> {
+    /// By what it was located, where that is not what features look like.
+    pub(crate) fn located_by(&self) -> &'static str {
+        match self.by {
+            LocatedBy::Features => "",
+            LocatedBy::Arrangement => "; by how few features lie",
+            LocatedBy::Correlation => "; by correlation, as features said nothing",
+        }
+    }
 }
 
 /// One frame in which it was not.

@@ -138,7 +138,7 @@ fn table(r: &Report<'_>, m: &Magnification<'_>) -> String {
     for i in &m.iterations {
         let _ = writeln!(
             out,
-            "<tr><th scope=\"row\">{}{}</th><td>{}</td><td>{}</td><td>{}</td><td>{} of {}</td><td>{}</td></tr>",
+            "<tr><th scope=\"row\">{}{}</th><td>{}</td><td>{}</td><td>{}</td><td>{} of {}{}</td><td>{}</td></tr>",
             i.iteration,
             if i.converged { " ✓" } else { "" },
             fixed(i.error.t_m[0] * 1e6, 3),
@@ -146,6 +146,7 @@ fn table(r: &Report<'_>, m: &Magnification<'_>) -> String {
             fixed(i.error.angle_deg(), 4),
             i.inliers,
             i.matches,
+            i.located_by(),
             fixed(i.sigma_px * pixel_um.unwrap_or(1.0), 3)
         );
     }

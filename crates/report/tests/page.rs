@@ -293,12 +293,16 @@ fn blocks_of_pixels_are_drawn_on_the_view_that_they_testify_of() {
         .iter()
         .rposition(|e| matches!(e.event, Event::Iteration { .. }));
     let mut last = events.swap_remove(last.unwrap());
-    if let Event::Iteration { pixels, .. } = &mut last.event {
+    if let Event::Iteration { pixels, by, .. } = &mut last.event {
         *pixels = Some(serde_json::from_value(seen).unwrap());
+        *by = scopeservo_servo::LocatedBy::Correlation;
     }
+    let by_features = html(&recorder, None, &synthetic::context());
     recorder.event(last);
     let page = html(&recorder, None, &synthetic::context());
     check(&page);
+    let words = "by correlation, as features said nothing";
+    assert!(page.contains(words) && !by_features.contains(words));
     assert_eq!(page.matches("class=\"block yes\"").count(), 1);
     assert_eq!(
         page.matches("class=\"block no\" x=\"188\" y=\"88\" width=\"24\"")

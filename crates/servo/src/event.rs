@@ -3,8 +3,8 @@
 use crate::calibrate::told::{ChainPlace, ChainView};
 use crate::pixels_seen::PixelsSeen;
 use crate::{
-    Calibration, FocusResult, FocusSweep, Identity, Outcome, PoseError, Promised, Remark,
-    TiltReport, Velocity,
+    Calibration, FocusResult, FocusSweep, Identity, LocatedBy, Outcome, PoseError, Promised,
+    Remark, TiltReport, Velocity,
 };
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::NotFound;
@@ -184,7 +184,10 @@ pub enum Event {
         velocity: Velocity,
         /// Target pixel from view pixel.
         target_from_view: Affine2,
-        /// Inliers.
+        /// By what the target was located. Logs of earlier versions do not tell: by features.
+        #[serde(default)]
+        by: LocatedBy,
+        /// Inliers: features, or blocks of pixels.
         inliers: usize,
         /// Matches.
         matches: usize,

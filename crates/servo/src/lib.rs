@@ -75,7 +75,9 @@ pub use level::{
     BlockHeight, Level, LevelError, LevelOptions, LevelReport, Levelled, MeasureTilt, StageTilt,
     Tilt, TiltReport,
 };
-pub use localize::{CorrelationLocalizer, Expected, FeatureLocalizer, Localizer, Measurement};
+pub use localize::{
+    CorrelationLocalizer, Expected, FeatureLocalizer, Localizer, LocatedBy, Measurement,
+};
 pub use pixels_seen::PixelsSeen;
 pub use pose::{PoseError, PoseEstimate, pose_error, pose_estimate};
 pub use procedure::{Procedure, Progress, run};

@@ -2,10 +2,10 @@
 
 mod common;
 
-use common::{Bench, PLACE_UM, bench, bench_over, one_objective, options};
+use common::{Bench, Listener, PLACE_UM, bench, bench_over, one_objective, options};
 use scopeservo_servo::{
-    Calibrate, Calibration, NoSink, SaveOptions, SaveTarget, Servo, ServoEnd, ServoOptions,
-    ServoTask, Target, VisionOptions, run,
+    Calibrate, Calibration, Event, LocatedBy, NoSink, SaveOptions, SaveTarget, Servo, ServoEnd,
+    ServoOptions, ServoTask, Target, VisionOptions, run,
 };
 use scopeservo_twin::specimen::{Lattice, LatticeConfig, Sparse, SparseConfig, Tissue};
 use scopeservo_twin::{DustConfig, Truth};
@@ -30,6 +30,22 @@ fn calibration() -> Calibration {
 }
 
 fn go(bench: &Bench, target: &Target, known: &Calibration, vision: &VisionOptions) -> ServoEnd {
+    told(bench, target, known, vision).0
+}
+
+/// Also by what it was located each time.
+fn told(
+    bench: &Bench,
+    target: &Target,
+    known: &Calibration,
+    vision: &VisionOptions,
+) -> (ServoEnd, Vec<LocatedBy>) {
+    let mut all = Vec::new();
+    let mut listener = Listener(|event: &Event| {
+        if let Event::Iteration { by, .. } = event {
+            all.push(*by);
+        }
+    });
     let options = ServoOptions::default();
     let task = ServoTask {
         target,
@@ -41,7 +57,8 @@ fn go(bench: &Bench, target: &Target, known: &Calibration, vision: &VisionOption
         hand_overs: &[],
         localizer: None,
     };
-    run(&mut Servo::default().on(&task), &bench.scope, &mut NoSink).unwrap()
+    let end = run(&mut Servo::default().on(&task), &bench.scope, &mut listener).unwrap();
+    (end, all)
 }
 
 /// Whatever it says, it does not say that it arrived where it did not.
@@ -68,8 +85,9 @@ fn what_features_do_not_find_is_found_by_correlation_and_proved_by_the_runs_own_
         bench.twin.remount(PLACE_UM, off, turn, false);
         let lost = go(&bench, &target, &known, &blind(false));
         assert!(!matches!(lost, ServoEnd::Converged(_)), "{lost:?}");
-        let end = go(&bench, &target, &known, &blind(true));
+        let (end, by) = told(&bench, &target, &known, &blind(true));
         assert!(matches!(end, ServoEnd::Converged(_)), "{end:?}");
+        assert!(by.iter().all(|by| *by == LocatedBy::Correlation), "{by:?}");
         let (um, deg) = bench.error_from(&truth);
         assert!(um <= 1.0 && deg <= 0.02, "{um} um, {deg} deg");
     }

@@ -38,7 +38,7 @@ const AGREES: f64 = 2.5;
 const MOST_SAMPLES: usize = 1_600_000;
 /// Expected number of agreements as good between unrelated images, at most, as blocks count it: log10. Blocks of one peak are not
 /// independent, as they are what made it a peak; what unrelated images reach is measured (docs/measured.md).
-const LOG10_CHANCE: f64 = -16.0;
+const LOG10_CHANCE: f64 = -18.0;
 /// What is looked at more finely, and so many of these at most.
 const LOG10_PROPOSED: f64 = -0.5;
 const PROPOSED: usize = 3;

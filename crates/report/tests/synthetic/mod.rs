@@ -8,8 +8,8 @@ use scopeservo_scope::{
     Angle, Channels, Frame, Length, ObjectiveId, Samples, StagePose, Timestamp,
 };
 use scopeservo_servo::{
-    CALIBRATION_SCHEMA, Calibration, Event, FocusResult, FrameRole, MagnificationResult, Outcome,
-    Phase, Reason, ServoEnd, ServoResult, Sink, Stamped, Verdict, control_law, pose_error,
+    CALIBRATION_SCHEMA, Calibration, Event, FocusResult, FrameRole, LocatedBy, MagnificationResult,
+    Outcome, Phase, Reason, ServoEnd, ServoResult, Sink, Stamped, Verdict, control_law, pose_error,
 };
 use std::time::Duration;
 
@@ -329,6 +329,7 @@ impl Teller {
                 error,
                 velocity,
                 target_from_view,
+                by: LocatedBy::default(),
                 inliers: pairs.len(),
                 matches: pairs.len() + 40,
                 sigma_px: 0.12 * um / um_t,

@@ -3,7 +3,7 @@
 //! What the blocks of a correlation agree on are correspondences as those of features are, at places of the target that are the same from frame to
 //! frame: the proof by motion asks of them what it asks of features. What else looks like the target is told as a rival.
 
-use super::{Expected, FeatureLocalizer, Localizer, Measurement, says_nothing};
+use super::{Expected, FeatureLocalizer, Localizer, LocatedBy, Measurement, says_nothing};
 use crate::{FixedPlaces, ServoError, Target, VisionOptions};
 use scopeservo_features::{GrayImage, Mask};
 use scopeservo_geometry::Vec2;
@@ -59,6 +59,7 @@ impl CorrelationLocalizer<'_> {
         );
         Some(Measurement {
             estimate: seen.registration.found()?.clone(),
+            by: LocatedBy::Correlation,
             registration: seen.registration,
             correspondences: seen.correspondences,
             features: None,

@@ -1,6 +1,6 @@
 //! Features of view and target, matched and fitted: the paper's way. Where what they look like says nothing, how they lie may.
 
-use super::{Expected, Localizer, Measurement, says_nothing};
+use super::{Expected, Localizer, LocatedBy, Measurement, says_nothing};
 use crate::target::{MIN_MOVED_FEATURES, MIN_TARGET_FEATURES};
 use crate::{ServoError, Target, VisionOptions};
 use scopeservo_features::{Features, GrayImage};
@@ -96,9 +96,10 @@ impl FeatureLocalizer<'_> {
         let matched = Correspondences::of(engine, &free, &of_target, prior, options);
         let seen = matched.and_then(|correspondences| {
             let registration = register_correspondences(&correspondences, prior, options);
-            Ok((registration.outcome.clone()?, registration, correspondences))
+            let estimate = registration.outcome.clone()?;
+            Ok((LocatedBy::Features, estimate, registration, correspondences))
         });
-        let (estimate, registration, correspondences) = seen.or_else(|reason| {
+        let (by, estimate, registration, correspondences) = seen.or_else(|reason| {
             let lie = says_nothing(&reason)
                 .then(|| constellation(&free, &of_target, prior, options))
                 .flatten();
@@ -107,10 +108,12 @@ impl FeatureLocalizer<'_> {
                 .filter(|lie| lie.rivals.is_empty())
                 .ok_or(reason.clone())?;
             let estimate = sure.registration.outcome.clone().map_err(|_| reason)?;
-            Ok((estimate, sure.registration, sure.correspondences))
+            let (by, all) = (LocatedBy::Arrangement, sure.correspondences);
+            Ok((by, estimate, sure.registration, all))
         })?;
         Ok(Measurement {
             estimate,
+            by,
             registration,
             correspondences,
             features: Some(features),

@@ -7,6 +7,7 @@ mod features;
 use crate::{FixedPlaces, ServoError, Target};
 use scopeservo_features::{Features, GrayImage};
 use scopeservo_registration::{Correspondences, Estimate, NotFound, Prior, Registration, Rival};
+use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::fmt::Debug;
 
@@ -23,11 +24,26 @@ pub struct Expected<'a> {
     pub fixed: &'a FixedPlaces,
 }
 
+/// By what a target was located.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LocatedBy {
+    /// What features look like.
+    #[default]
+    Features,
+    /// How a few of them lie to each other.
+    Arrangement,
+    /// Correlation of blocks of pixels.
+    Correlation,
+}
+
 /// A target that was located in a view.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measurement {
     /// `target_from_view` with its covariance.
     pub estimate: Estimate,
+    /// By what it was located.
+    pub by: LocatedBy,
     /// How it was found.
     pub registration: Registration,
     /// The places of view and target that look alike: what is proved by motion stands on these alone.

@@ -205,6 +205,7 @@ impl<'a> Sight<'a> {
             error: self.located.pose.error,
             velocity: task.velocity(&self.located.pose, turns),
             target_from_view: self.located.estimate.target_from_view,
+            by: self.measured.by,
             inliers: registration.inliers,
             matches: registration.matches,
             sigma_px: self.located.estimate.sigma_px,

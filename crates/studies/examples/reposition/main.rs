@@ -2,7 +2,8 @@
 //!
 //! `cargo run --release -p scopeservo-studies --example reposition -- --count 200`
 //!
-//! `... -- faults --count 20` breaks one thing in each run; `... -- disturbance --count 20` disturbs the view; `... -- montecarlo --count 5` repeats
+//! `... -- faults --count 20` breaks one thing in each run; `... -- disturbance --count 20` disturbs the view; `... -- elsewhere
+//! --count 100` shows something else; `... -- montecarlo --count 5` repeats
 //! the paper's repositioning on three specimens, by its law and by direct control from the same starts.
 //!
 //! Instruments are calibrated once, focus is found anew, and every run is kept as a line of its own: a study that was broken off goes on.
@@ -11,6 +12,7 @@
 #![expect(clippy::print_stdout, reason = "a study prints its table")]
 
 mod disturbance;
+mod elsewhere;
 mod faults;
 mod montecarlo;
 mod scene;
@@ -69,6 +71,12 @@ enum Study {
         #[arg(long, default_value = "")]
         named: String,
     },
+    /// The view is not there: another slide, the other section of a series, a field beside, blank glass, the slide upside down. Does any run arrive?
+    Elsewhere {
+        /// Only those whose names have this in them.
+        #[arg(long, default_value = "")]
+        named: String,
+    },
     /// The paper's repeated repositioning: its law and direct control from the same starts, focus and calibration reused.
     Montecarlo,
 }
@@ -95,6 +103,7 @@ fn main() -> Outcome<()> {
                 covering,
                 named,
             } => disturbance::study(&many, (*pairs, *covering, named), &known)?,
+            Study::Elsewhere { named } => elsewhere::study(&many, named, &known)?,
             Study::Montecarlo => montecarlo::study(&many, &known)?,
         };
         if wrong > 0 {

@@ -98,8 +98,18 @@ pub(crate) fn draw(index: u64) -> Scene {
 impl Scene {
     /// Its name, and what it is.
     pub(crate) fn specimen(&self) -> Outcome<(String, Arc<dyn Specimen>)> {
+        Self::specimen_of(self.specimen)
+    }
+
+    /// One of the others, by a number.
+    pub(crate) fn another_specimen(&self, number: usize) -> Outcome<Arc<dyn Specimen>> {
+        let step = 1 + number % SLIDES.len();
+        Ok(Self::specimen_of((self.specimen + step) % (SLIDES.len() + 1))?.1)
+    }
+
+    fn specimen_of(number: usize) -> Outcome<(String, Arc<dyn Specimen>)> {
         let folder = std::env::var_os("SCOPESERVO_SPECIMENS");
-        match (self.specimen, folder) {
+        match (number, folder) {
             (k, Some(folder)) if k > 0 => {
                 let (name, um_per_px, _) = SLIDES[k - 1];
                 let slide = FileSpecimen::open(&Path::new(&folder).join(name), Some(um_per_px))?;

@@ -38,9 +38,9 @@ struct Args {
     /// Threads; all processors unless told.
     #[arg(long, default_value_t = 0)]
     threads: usize,
-    /// What features do not find is looked for by correlation.
+    /// What features do not find is not looked for by correlation.
     #[arg(long)]
-    correlation: bool,
+    by_features: bool,
     /// Where calibrations and runs are kept; what lies there is not made again. A new folder for a new build.
     #[arg(long, default_value = "target/target_quality")]
     out: PathBuf,
@@ -213,7 +213,7 @@ fn main() -> Outcome<()> {
     fs::create_dir_all(&args.out)?;
     let known = scene::calibrations(&args.out)?;
     let vision = VisionOptions {
-        correlation: args.correlation,
+        correlation: !args.by_features,
         ..VisionOptions::default()
     };
     if let Some(index) = args.only {
@@ -224,8 +224,8 @@ fn main() -> Outcome<()> {
         return Ok(());
     }
     let numbers: Vec<u64> = (0..args.count).collect();
-    let path = args.out.join(match args.correlation {
-        true => "runs-correlation.jsonl",
+    let path = args.out.join(match args.by_features {
+        true => "runs-by-features.jsonl",
         false => "runs.jsonl",
     });
     let records = rounds(
