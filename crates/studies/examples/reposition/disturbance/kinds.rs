@@ -150,3 +150,19 @@ pub(crate) const PAPER: [Kind; 3] = [
         what: |_, _, _| vec![Change::Add(-80.0)],
     },
 ];
+
+/// More than is asked for: what is aimed at, alone.
+pub(crate) const AIMED_AT: [Kind; 3] = [
+    Kind {
+        name: "aimed at: blur, sigma 8 px",
+        what: |_, _, _| vec![Change::Blur(8.0)],
+    },
+    Kind {
+        name: "aimed at: mask of 60 %",
+        what: |_, _, rng| vec![Change::Mask(0.6, two(rng))],
+    },
+    Kind {
+        name: "aimed at: mask of 90 %",
+        what: |_, _, rng| vec![Change::Mask(0.9, two(rng))],
+    },
+];

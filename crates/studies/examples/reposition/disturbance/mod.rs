@@ -8,7 +8,7 @@ use crate::faults::Many;
 use crate::scene::{Bench, Known, Scene, draw, of};
 use crate::whole::{Start, Watch, apart, begin, word};
 use camera::Disturbed;
-use kinds::{ALONE, Kind, PAPER};
+use kinds::{AIMED_AT, ALONE, Kind, PAPER};
 use scopeservo_geometry::SplitMix64;
 use scopeservo_servo::{Reposition, RepositionOptions, Verdict, run as steps};
 use scopeservo_studies::rounds::{Outcome, rounds};
@@ -56,6 +56,8 @@ impl Case {
     }
 }
 
+const OBJECTIVES: [&str; 3] = ["10x", "20x", "40x"];
+
 fn cases(pairs: bool) -> Vec<Case> {
     let mut all: Vec<(Vec<&Kind>, usize)> = Vec::new();
     match pairs {
@@ -69,7 +71,7 @@ fn cases(pairs: bool) -> Vec<Case> {
     }
     let mut cases = Vec::new();
     for (kinds, turn) in all {
-        for (k, objective) in ["10x", "20x", "40x"].into_iter().enumerate() {
+        for (k, objective) in OBJECTIVES.into_iter().enumerate() {
             cases.push(Case {
                 kinds: kinds.clone(),
                 objective,
@@ -83,6 +85,13 @@ fn cases(pairs: bool) -> Vec<Case> {
             objective: "20x",
             covers: true,
         }));
+        for kind in &AIMED_AT {
+            cases.extend(OBJECTIVES.map(|objective| Case {
+                kinds: vec![kind],
+                objective,
+                covers: true,
+            }));
+        }
     }
     cases
 }
