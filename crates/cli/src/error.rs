@@ -240,6 +240,7 @@ fn library_code(error: &LibraryError) -> Code {
         LibraryError::BadName(_)
         | LibraryError::Taken { .. }
         | LibraryError::NoTarget { .. }
+        | LibraryError::NoTargetNumbered { .. }
         | LibraryError::NotInBin { .. }
         | LibraryError::NoPicture { .. }
         | LibraryError::TooManyPictures { .. }

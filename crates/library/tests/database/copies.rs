@@ -132,7 +132,12 @@ fn an_export_is_plain_files_that_another_library_takes_in_again() {
     );
     let back = Database::new(out);
     assert!(back.take_in(&mut |_, _| {}).unwrap().is_empty());
-    let row = |library: &Database, name| library.target_row(name).unwrap();
+    // Its number is each library's own.
+    let row = |library: &Database, name| {
+        let mut row = library.target_row(name).unwrap();
+        row.number = 0;
+        row
+    };
     for name in ["spot", "plain"] {
         assert_eq!(row(&back, name), row(&library, name));
         assert_eq!(back.target(name).unwrap(), library.target(name).unwrap());
