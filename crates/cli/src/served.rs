@@ -236,7 +236,8 @@ fn told(job: &Value, answer: &Answer) -> Result<bool, CliError> {
         }
         _ => say!(answer, "{} is done", job["kind"].as_str().unwrap_or("it")),
     }
-    Ok(verdict.is_none_or(|verdict| verdict == "arrived"))
+    let is_good = job["answer"]["ok"].as_bool().unwrap_or(true);
+    Ok(is_good && verdict.is_none_or(|verdict| verdict == "arrived"))
 }
 
 impl Door {

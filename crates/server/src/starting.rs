@@ -25,7 +25,12 @@ pub(crate) fn start(
     wish: Wish,
     stops: u64,
 ) -> Result<JobId, ApiError> {
-    let Wish { case, about, asked } = wish;
+    let Wish {
+        case,
+        about,
+        asked,
+        damaged,
+    } = wish;
     let kind = case.kind();
     let (entry, (task, job)) = app.desk.put(|| {
         if app.stops.load(Ordering::SeqCst) != stops {
@@ -72,7 +77,11 @@ pub(crate) fn start(
             record,
             inputs,
             keeps_views: kind == "calibrate",
-            warnings: lost.map(|lost| lost.to_string()).into_iter().collect(),
+            is_whole: damaged.is_empty(),
+            warnings: damaged
+                .into_iter()
+                .chain(lost.map(|lost| lost.to_string()))
+                .collect(),
         };
         Ok((entry, hold, (task, job)))
     })?;

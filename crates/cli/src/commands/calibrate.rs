@@ -15,7 +15,7 @@ use scopeservo_scope::{Objective, ObjectiveId};
 use scopeservo_servo::{
     CalibrateOptions, Calibration, EXAMPLE_MOVE, Known, Parcentric, SwitchingReport,
 };
-use scopeservo_station::jobs::{CalibrateInput, CalibrateJob, CalibrateOutput, Whole};
+use scopeservo_station::jobs::{CalibrateJob, CalibrateOutput, Whole};
 use scopeservo_workbench::{Asked, Made};
 use serde_json::json;
 use std::path::Path;
@@ -33,7 +33,6 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
     try_out(&args.report.out)?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let focus = opened.focusing(focus);
     let named = args.objective.iter().cloned().map(ObjectiveId);
     let objectives: Vec<ObjectiveId> = named.collect();
     let wanted = |o: &&Objective| objectives.is_empty() || objectives.contains(&o.id);
@@ -43,16 +42,14 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
         opened.scope.objective(named)?;
     }
     opened.library.try_calibrations(&wanted)?;
-    let input = CalibrateInput {
-        objectives,
-        focus: (!args.no_focus).then_some(focus),
-        switching: args.switching,
-        calibrate: CalibrateOptions {
-            method: args.method.into(),
-            ..CalibrateOptions::default()
-        },
-        ..CalibrateInput::default()
+    let how = CalibrateOptions {
+        method: args.method.into(),
+        ..CalibrateOptions::default()
     };
+    let focus = (!args.no_focus).then_some(focus);
+    let input = opened
+        .usual()
+        .calibrate(objectives, focus, how, args.switching);
     let asked = Asked {
         inputs: json!(input),
         ..Asked::default()

@@ -10,7 +10,7 @@ use crate::output::{change_in_words, changes_in_words};
 use crate::progress::Watcher;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{Broken, Changing, SelfTestReport, SelfTestVerdict, Together};
-use scopeservo_station::jobs::{CheckInput, CheckJob, CheckOutput, Checked};
+use scopeservo_station::jobs::{CheckJob, CheckOutput, Checked};
 use scopeservo_workbench::Asked;
 use serde_json::{Value, json};
 
@@ -18,7 +18,6 @@ pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError>
     let focus = args.focusing.options()?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let focus = opened.focusing(focus);
     let named: Vec<ObjectiveId> = args.objective.iter().cloned().map(ObjectiveId).collect();
     let wanted = |id: &ObjectiveId| named.is_empty() || named.contains(id);
     let mut is_damaged = false;
@@ -46,11 +45,8 @@ pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError>
         let what = "no calibration of this instrument and camera is kept: `scopeservo calibrate`";
         return Err(CliError::Usage(what.into()));
     }
-    let input = CheckInput {
-        calibrations,
-        focus: (!args.no_focus).then_some(focus),
-        ..CheckInput::default()
-    };
+    let focus = (!args.no_focus).then_some(focus);
+    let input = opened.usual().check(calibrations, focus);
     let asked = Asked {
         inputs: json!(input),
         ..Asked::default()

@@ -9,7 +9,7 @@ use crate::progress::Watcher;
 use scopeservo_registration::Term;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::{Compared, Comparison, GridOptions, GridReport, Known, Quantity};
-use scopeservo_station::jobs::{GridInput, GridJob, GridOutput};
+use scopeservo_station::jobs::{GridJob, GridOutput};
 use scopeservo_workbench::Asked;
 use serde_json::json;
 
@@ -26,18 +26,15 @@ pub(crate) fn grid(args: &GridArgs, answer: &Answer) -> Result<bool, CliError> {
     }
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let focus = opened.focusing(focus);
-    let input = GridInput {
-        objective: args.objective.clone().map(ObjectiveId),
-        focus: (!args.no_focus).then_some(focus),
-        grid: GridOptions {
-            pitch_um: args.pitch_um,
-            reach_um: args.reach_um,
-            ..GridOptions::default()
-        },
-        calibrations: known_calibrations(&opened, answer),
-        ..GridInput::default()
+    let grid = GridOptions {
+        pitch_um: args.pitch_um,
+        reach_um: args.reach_um,
+        ..GridOptions::default()
     };
+    let focus = (!args.no_focus).then_some(focus);
+    let objective = args.objective.clone().map(ObjectiveId);
+    let known = known_calibrations(&opened, answer);
+    let input = opened.usual().grid(objective, focus, grid, known);
     let asked = Asked {
         inputs: json!(input),
         ..Asked::default()
