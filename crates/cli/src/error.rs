@@ -252,6 +252,7 @@ fn library_code(error: &LibraryError) -> Code {
         LibraryError::Damaged { .. }
         | LibraryError::DamagedCalibration { .. }
         | LibraryError::NoSums { .. }
+        | LibraryError::NotExported { .. }
         | LibraryError::DamagedJournal { .. } => Code::Damaged,
         LibraryError::NobodysCalibration { .. } => Code::NobodysCalibration,
         _ => Code::Internal,

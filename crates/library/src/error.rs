@@ -36,6 +36,14 @@ pub enum LibraryError {
         /// The number.
         number: i64,
     },
+    /// Something of the library is not in its export.
+    #[error("{what} is not in the export: {why}")]
+    NotExported {
+        /// What it is.
+        what: String,
+        /// Why.
+        why: String,
+    },
     /// A run goes to it, or waits to go on with it.
     #[error("'{name}' stays as it is: {by}")]
     InUse {
