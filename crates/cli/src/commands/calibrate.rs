@@ -11,7 +11,7 @@ use crate::progress::Watcher;
 use crate::views::{keep_report, try_out};
 use scopeservo_library::Calibrations as _;
 use scopeservo_report::{Work, WorkEnd};
-use scopeservo_scope::{Objective, ObjectiveId};
+use scopeservo_scope::{Objective, ObjectiveId, um_in_words};
 use scopeservo_servo::{
     CalibrateOptions, Calibration, EXAMPLE_MOVE, Known, Parcentric, SwitchingReport,
 };
@@ -301,8 +301,9 @@ fn show_calibration(answer: &Answer, calibration: &Calibration, residual_px: Opt
         let turns = calibration.rotation_centre_m.map_or("", |_| " and 1 deg");
         say!(
             answer,
-            "  one move of {:.0} um{turns} is expected to end {off_um:.2} um off",
-            EXAMPLE_MOVE.0 * 1e6
+            "  one move of {:.0} um{turns} is expected to end {} off",
+            EXAMPLE_MOVE.0 * 1e6,
+            um_in_words(off_um, 2)
         );
     }
 }

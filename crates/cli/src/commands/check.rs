@@ -8,7 +8,7 @@ use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
 use crate::output::{change_in_words, changes_in_words};
 use crate::progress::Watcher;
-use scopeservo_scope::ObjectiveId;
+use scopeservo_scope::{ObjectiveId, um_in_words};
 use scopeservo_servo::{Broken, Changing, SelfTestReport, SelfTestVerdict, Together};
 use scopeservo_station::jobs::{CheckJob, CheckOutput, Checked};
 use scopeservo_workbench::Asked;
@@ -114,16 +114,17 @@ fn show_one(answer: &Answer, report: &SelfTestReport) {
         SelfTestVerdict::Replace => ("replace, calibrate", Hope::Failed),
     };
     let verdict = colour::verdict(verdict, hope);
+    // What it would miss by counts only where it was seen for sure.
+    let off_um = match report.verdict {
+        SelfTestVerdict::Good => report.expected_error_um,
+        _ => report.expected_error_um.hypot(report.misses_um),
+    };
     say!(
         answer,
-        "{}: {verdict}: {}; one move is expected to end {:.2} um off",
+        "{}: {verdict}: {}; one move is expected to end {} off",
         report.objective,
         changed(report),
-        // What it would miss by counts only where it was seen for sure.
-        match report.verdict {
-            SelfTestVerdict::Good => report.expected_error_um,
-            _ => report.expected_error_um.hypot(report.misses_um),
-        }
+        um_in_words(off_um, 2)
     );
 }
 

@@ -7,7 +7,7 @@ use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
 use crate::progress::Watcher;
 use scopeservo_registration::Term;
-use scopeservo_scope::ObjectiveId;
+use scopeservo_scope::{ObjectiveId, um_in_words};
 use scopeservo_servo::{Compared, Comparison, GridOptions, GridReport, Known, Quantity};
 use scopeservo_station::jobs::{GridJob, GridOutput};
 use scopeservo_workbench::Asked;
@@ -149,7 +149,7 @@ fn show_stage(answer: &Answer, report: &GridReport) {
     let rotation = stage.rotation.as_ref();
     say!(
         answer,
-        "  the stage goes {} % too far along x, {} % along y{}; its axes are {} deg off a right angle; arrivals scatter by {:.2} um",
+        "  the stage goes {} % too far along x, {} % along y{}; its axes are {} deg off a right angle; arrivals scatter by {}",
         plus_minus(&stage.x, 100.0, 4),
         plus_minus(&stage.y, 100.0, 4),
         rotation.map_or(String::new(), |r| format!(
@@ -157,7 +157,7 @@ fn show_stage(answer: &Answer, report: &GridReport) {
             plus_minus(r, 100.0, 2)
         )),
         plus_minus(&stage.square_deg, 1.0, 4),
-        stage.scatter_um
+        um_in_words(stage.scatter_um, 2)
     );
 }
 

@@ -8,7 +8,7 @@ use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
 use crate::progress::Watcher;
 use scopeservo_report::{Work, WorkEnd};
-use scopeservo_scope::{ObjectiveId, PositiveZ};
+use scopeservo_scope::{ObjectiveId, PositiveZ, um_in_words};
 use scopeservo_servo::{Known, LevelOptions, LevelReport, Levelled, Tilt, TiltReport};
 use scopeservo_station::jobs::{LevelJob, LevelOutput};
 use scopeservo_workbench::Asked;
@@ -143,10 +143,10 @@ fn show_tilt(answer: &Answer, report: &TiltReport, then: &str) {
     );
     say!(
         answer,
-        "  seen in {} of {} parts of the view, which lie {:.2} um about the plane ({:.0} % of their heights explained, {} images)",
+        "  seen in {} of {} parts of the view, which lie {} about the plane ({:.0} % of their heights explained, {} images)",
         tilt.used,
         report.blocks,
-        tilt.scatter_um,
+        um_in_words(tilt.scatter_um, 2),
         100.0 * tilt.goodness.max(0.0),
         report.frames
     );
