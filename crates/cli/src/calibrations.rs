@@ -6,7 +6,7 @@ use crate::commands::library_of;
 use crate::error::CliError;
 use crate::output::{calibration as calibration_json, changes_in_words};
 use scopeservo_library::{CalibrationFile, Calibrations as _, KeptCalibration};
-use scopeservo_scope::ObjectiveId;
+use scopeservo_scope::{ObjectiveId, um_in_words};
 use scopeservo_servo::{Calibration, changes_between};
 use scopeservo_setup::Config;
 use serde_json::json;
@@ -102,7 +102,7 @@ fn row(c: &Calibration) -> String {
         .map(|b| format!(", backlash {:.2}, {:.2} um", 1e6 * b.x_m, 1e6 * b.y_m));
     let error = c
         .expected_error_um()
-        .map(|um| format!(", expected error {um:.2} um"));
+        .map(|um| format!(", expected error {}", um_in_words(um, 2)));
     format!(
         "{:.4} um per px, {angle}{}{}{}",
         c.um_per_px(),

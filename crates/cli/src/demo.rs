@@ -12,7 +12,7 @@ use crate::threads::take_threads;
 use crate::views::{ViewWriter, clear_earlier_run, keep_json, keep_report, try_out};
 use scopeservo_features::Engine;
 use scopeservo_report as report;
-use scopeservo_scope::{Instrument, ObjectiveId};
+use scopeservo_scope::{Instrument, ObjectiveId, deg_in_words, um_in_words};
 use scopeservo_servo::{
     Event, Outcome, Reason, RepositionOptions, ServoError, ServoOptions, Sink, Stamped, Verdict,
 };
@@ -345,7 +345,9 @@ fn show(answer: &Answer, result: &DemoJson, started: Instant) {
     if let (Some(um), Some(deg)) = (result.true_error_um, result.true_error_deg) {
         say!(
             answer,
-            "  true error {um:.3} um, {deg:.4} deg (only the simulation knows)"
+            "  true error {}, {} (only the simulation knows)",
+            um_in_words(um, 3),
+            deg_in_words(deg, 4)
         );
     }
     say!(

@@ -240,6 +240,7 @@ fn library_code(error: &LibraryError) -> Code {
         LibraryError::BadName(_)
         | LibraryError::Taken { .. }
         | LibraryError::NoTarget { .. }
+        | LibraryError::NoTargetNumbered { .. }
         | LibraryError::NotInBin { .. }
         | LibraryError::NoPicture { .. }
         | LibraryError::TooManyPictures { .. }
@@ -251,6 +252,7 @@ fn library_code(error: &LibraryError) -> Code {
         LibraryError::Damaged { .. }
         | LibraryError::DamagedCalibration { .. }
         | LibraryError::NoSums { .. }
+        | LibraryError::NotExported { .. }
         | LibraryError::DamagedJournal { .. } => Code::Damaged,
         LibraryError::NobodysCalibration { .. } => Code::NobodysCalibration,
         _ => Code::Internal,

@@ -119,10 +119,11 @@ pub(crate) fn export(args: &LibraryExportArgs, answer: &Answer) -> Result<bool, 
     let whole = done.left.is_empty();
     say!(
         answer,
-        "{} targets, {} calibrations and the like and {} runs are in {} as plain files",
+        "{} targets, {} calibrations and the like, {} runs and {} pictures are in {} as plain files",
         done.targets,
         done.measurements,
         done.runs,
+        done.pictures,
         args.folder.display()
     );
     for left in done.left {

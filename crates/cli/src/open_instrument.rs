@@ -9,10 +9,10 @@ use crate::console::{Console, hand_on};
 use crate::error::{CliError, Code};
 use crate::progress::Watcher;
 use scopeservo_scope::{CancelToken, Instrument};
-use scopeservo_servo::{ErrorKind, FocusOptions};
+use scopeservo_servo::ErrorKind;
 use scopeservo_setup::{Config, Consent, home_if_needed};
 use scopeservo_station::{News, StationEvent, UseCase};
-use scopeservo_workbench::{Asked, Late, Made, RunRecord, Told, Workbench};
+use scopeservo_workbench::{Asked, Late, Made, RunRecord, Told, Usual, Workbench};
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
@@ -85,14 +85,6 @@ pub(crate) fn stop_on_interrupt(cancel: &CancelToken, answer: &Answer) -> StopHa
     stop
 }
 
-/// As [`OpenInstrument::focusing`], before it is open.
-pub(crate) fn focusing(config: &Config, asked: FocusOptions) -> FocusOptions {
-    FocusOptions {
-        sweep: asked.sweep || config.focus.sweep,
-        ..asked
-    }
-}
-
 impl OpenInstrument {
     /// The instrument, homed where it needs that and the user agreed.
     pub(crate) fn open(args: &InstrumentArgs, answer: &Answer) -> Result<Self, CliError> {
@@ -102,9 +94,9 @@ impl OpenInstrument {
         Ok(opened)
     }
 
-    /// How a focus was asked for, with what the description says of all of them.
-    pub(crate) fn focusing(&self, asked: FocusOptions) -> FocusOptions {
-        focusing(&self.config, asked)
+    /// What the description says of every job.
+    pub(crate) fn usual(&self) -> Usual<'_> {
+        Usual::of(&self.config)
     }
 
     /// The instrument as it is, for a look at it: nothing is homed.

@@ -4,7 +4,7 @@ use crate::bar;
 use crate::views::ViewWriter;
 use indicatif::ProgressBar;
 use scopeservo_report::Recorder;
-use scopeservo_scope::{Frame, ObjectiveId};
+use scopeservo_scope::{Frame, ObjectiveId, deg_in_words, um_in_words};
 use scopeservo_servo::{Event, FrameRole, Identity, Phase, Sink, Stamped};
 
 /// Shares of a run that its parts take, from experience: the bar should move evenly.
@@ -98,15 +98,17 @@ impl Watcher {
                     self.first_error_um = e;
                 }
                 self.bar.set_message(format!(
-                    "{objective} iteration {iteration}: {e:.2} um, {:.3} deg, {inliers} inliers",
-                    error.angle_deg()
+                    "{objective} iteration {iteration}: {}, {}, {inliers} inliers",
+                    um_in_words(e, 2),
+                    deg_in_words(error.angle_deg(), 3)
                 ));
                 // The error falls exponentially towards about half a micrometre.
                 let way =
                     (self.first_error_um / e).ln() / (self.first_error_um / 0.5).ln().max(0.1);
                 if *converged {
+                    let off = um_in_words(e, 2);
                     self.bar
-                        .set_message(format!("{objective}: {e:.2} um, confirming"));
+                        .set_message(format!("{objective}: {off}, confirming"));
                 }
                 self.show(SERVO * way.clamp(0.0, 1.0));
                 return;

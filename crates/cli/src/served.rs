@@ -10,8 +10,7 @@ use serde_json::{Value, json};
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// The file that a server leaves while it serves, below the data folder.
@@ -122,25 +121,88 @@ fn at(
         say!(answer, "  objective  {}", state["objective"]);
         return Ok(true);
     }
+    let interrupt = Arc::new(Interrupt::new(door));
+    let pressed = interrupt.clone();
+    answer.on_interrupt(move || pressed.press());
     let started = door.ask("POST", "/api/v1/jobs", job)?;
     let id = started["id"].as_u64();
     let id = id.ok_or_else(|| CliError::Internal(format!("the server said {started}")))?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let wish = stop.clone();
-    answer.on_interrupt(move || wish.store(true, Ordering::SeqCst));
+    interrupt.stops(id);
     let shown = bar::spinner(format!("at the server, http://{address}"));
-    let ended = ended(door, id, &stop);
+    let ended = ended(door, id, &interrupt);
     shown.finish_and_clear();
     told(&ended?, answer)
 }
 
-/// Waits for the end of a job; Ctrl-C stops it. Whoever started it says that it is there.
-fn ended(door: &Door, id: u64, stop: &AtomicBool) -> Result<Value, CliError> {
+/// Ctrl-C while the server has a job of ours: it stops that job from where it is pressed, and waits for nothing that is asked meanwhile.
+struct Interrupt {
+    door: Door,
+    state: Mutex<Pressed>,
+}
+
+#[derive(Default)]
+struct Pressed {
+    /// The job, once the server has said which.
+    id: Option<u64>,
+    /// Before that was known.
+    early: bool,
+    failed: Option<CliError>,
+}
+
+impl Interrupt {
+    fn new(door: &Door) -> Self {
+        Self {
+            door: door.clone(),
+            state: Mutex::default(),
+        }
+    }
+
+    fn state(&self) -> std::sync::MutexGuard<'_, Pressed> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn press(&self) {
+        let id = {
+            let mut state = self.state();
+            state.early |= state.id.is_none();
+            state.id
+        };
+        if let Some(id) = id {
+            self.stop(id);
+        }
+    }
+
+    /// From now on that job is stopped: at once, where Ctrl-C was pressed before.
+    fn stops(&self, id: u64) {
+        let early = {
+            let mut state = self.state();
+            state.id = Some(id);
+            state.early
+        };
+        if early {
+            self.stop(id);
+        }
+    }
+
+    fn stop(&self, id: u64) {
+        let path = format!("/api/v1/jobs/{id}/stop");
+        if let Err(error) = self.door.ask("POST", &path, &json!({})) {
+            self.state().failed = Some(error);
+        }
+    }
+
+    fn failed(&self) -> Option<CliError> {
+        self.state().failed.take()
+    }
+}
+
+/// Waits for the end of a job. Whoever started it says that it is there.
+fn ended(door: &Door, id: u64, interrupt: &Interrupt) -> Result<Value, CliError> {
     let path = format!("/api/v1/jobs/{id}");
     let mut looks = 0u32;
     loop {
-        if stop.swap(false, Ordering::SeqCst) {
-            door.ask("POST", &format!("{path}/stop"), &json!({}))?;
+        if let Some(error) = interrupt.failed() {
+            return Err(error);
         }
         let job = door.ask("GET", &path, &Value::Null)?;
         if job["state"]["state"] == "ended" {
@@ -174,7 +236,8 @@ fn told(job: &Value, answer: &Answer) -> Result<bool, CliError> {
         }
         _ => say!(answer, "{} is done", job["kind"].as_str().unwrap_or("it")),
     }
-    Ok(verdict.is_none_or(|verdict| verdict == "arrived"))
+    let is_good = job["answer"]["ok"].as_bool().unwrap_or(true);
+    Ok(is_good && verdict.is_none_or(|verdict| verdict == "arrived"))
 }
 
 impl Door {

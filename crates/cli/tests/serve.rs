@@ -116,3 +116,39 @@ fn commands_are_done_by_the_program_that_serves_the_instrument() {
         stdout(&status)
     );
 }
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_at_a_command_stops_the_job_that_the_server_does_for_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let here = dir.path();
+    let text = "name = \"bench\"\n[drivers.twin.twin]\nseed = 3\nreal_time = true\n[devices]\nstage = \"twin\"\ncamera = \"twin\"\nnosepiece = \"twin\"\n\
+                [limits]\nx_um = [-17000, 17000]\ny_um = [-16000, 16000]\nz_um = [-3000, 500]\n[objective_change]\nretract_z_um = -2000\nmargin_um = 50\n";
+    std::fs::write(here.join("scopeservo.toml"), text).unwrap();
+    let served = Served::new(here);
+    let status = || common::ok(here, &["status", "--json"]);
+    let mut goes = Command::new(env!("CARGO_BIN_EXE_scopeservo"))
+        .current_dir(here)
+        .args(["stage", "go", "--x-um", "16000"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    while status()["moving"] != true {
+        assert!(goes.try_wait().unwrap().is_none(), "it never moved");
+    }
+    let id = goes.id().to_string();
+    Command::new("kill").args(["-INT", &id]).status().unwrap();
+    let ended = goes.wait_with_output().unwrap();
+    assert_eq!(code(&ended), 1, "{}", stderr(&ended));
+    assert!(
+        stderr(&ended).contains("stopped on request"),
+        "{}",
+        stderr(&ended)
+    );
+    let now = status();
+    assert_eq!(now["moving"], false, "{now}");
+    assert!(now["at"]["x_um"].as_f64().unwrap() < 15_900.0, "{now}");
+    assert_eq!(now["jobs"][0]["state"]["how"], "stopped", "{now}");
+    served.end();
+}

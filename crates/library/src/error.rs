@@ -30,6 +30,20 @@ pub enum LibraryError {
         /// How many more there are.
         more: usize,
     },
+    /// There is none of that number, or no longer.
+    #[error("there is no target of the number {number}: look at the list again")]
+    NoTargetNumbered {
+        /// The number.
+        number: i64,
+    },
+    /// Something of the library is not in its export.
+    #[error("{what} is not in the export: {why}")]
+    NotExported {
+        /// What it is.
+        what: String,
+        /// Why.
+        why: String,
+    },
     /// A run goes to it, or waits to go on with it.
     #[error("'{name}' stays as it is: {by}")]
     InUse {

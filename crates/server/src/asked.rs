@@ -3,19 +3,14 @@
 use crate::error::ApiError;
 use crate::hand::Hand;
 use crate::jog::{Hold, Jog, Map};
-use scopeservo_library::{Label, Targets as _, check_slide};
+use scopeservo_library::{Label, LibraryError, Targets as _, check_slide};
 use scopeservo_protocol::Place;
 use scopeservo_scope::ObjectiveId;
 use scopeservo_servo::Progress;
-use scopeservo_servo::{
-    Calibration, FocusOptions, RepositionOptions, ServoOptions, Target, VisionOptions,
-};
-use scopeservo_station::jobs::{
-    Answer, AnyJob, CalibrateInput, CheckInput, DoctorInput, FocusInput, RepositionInput, Request,
-    SaveTargetInput,
-};
+use scopeservo_servo::{CalibrateOptions, Calibration, FocusOptions, ServoOptions, Target};
+use scopeservo_station::jobs::{Answer, AnyJob, DoctorInput, RepositionInput, Request};
 use scopeservo_station::{JobError, UseCase, Work};
-use scopeservo_workbench::{Asked, Workbench, contradiction, what};
+use scopeservo_workbench::{Asked, Usual, Workbench, contradiction, what};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -135,6 +130,8 @@ pub(crate) struct Wish {
     pub(crate) about: Option<String>,
     /// As its record has it; of single steps there is none.
     pub(crate) asked: Option<Asked>,
+    /// Calibrations that are damaged, and are left out of it.
+    pub(crate) damaged: Vec<String>,
 }
 
 impl Wish {
@@ -143,6 +140,7 @@ impl Wish {
             case: Case::Hand(hand),
             about: None,
             asked: None,
+            damaged: Vec::new(),
         }
     }
 
@@ -156,6 +154,7 @@ impl Wish {
             case: Case::Jog(Jog::new(hold, map)),
             about: None,
             asked: None,
+            damaged: Vec::new(),
         }
     }
 
@@ -168,6 +167,7 @@ impl Wish {
                 inputs,
                 ..Asked::default()
             }),
+            damaged: Vec::new(),
         })
     }
 
@@ -186,26 +186,26 @@ impl Wish {
                 objective,
                 range_um,
             } => {
-                let input = FocusInput {
-                    objective: named(bench, objective)?,
-                    focus: focusing(bench, range_um)?,
-                    ..FocusInput::default()
-                };
+                let objective = named(bench, objective)?;
+                let input = usual(bench).focus(objective, None, focusing(range_um)?);
                 let inputs = json!(input);
                 Self::job(Request::Focus(input), None, inputs)
             }
             JobRequest::Calibrate { objectives } => calibrate(bench, objectives),
             JobRequest::Check {} => {
-                let input = CheckInput {
-                    calibrations: bench.known_calibrations(|_| {}),
-                    ..CheckInput::default()
-                };
-                if input.calibrations.is_empty() {
+                let mut damaged = Vec::new();
+                let known = bench.known_calibrations(|unread| match unread {
+                    LibraryError::NobodysCalibration { .. } => {}
+                    unread => damaged.push(unread.to_string()),
+                });
+                if known.is_empty() {
                     let message = "no objective is calibrated: calibrate first";
                     return Err(ApiError::conflict("no_calibration", message));
                 }
+                let input = usual(bench).check(known, Some(FocusOptions::default()));
                 let inputs = json!(input);
-                Self::job(Request::Check(input), None, inputs)
+                let wish = Self::job(Request::Check(input), None, inputs)?;
+                Ok(Self { damaged, ..wish })
             }
             JobRequest::Doctor { allow_motion } => {
                 let input = DoctorInput { allow_motion };
@@ -289,22 +289,19 @@ fn centre(bench: &Workbench, share: [f64; 2]) -> Result<Wish, ApiError> {
     Ok(Wish::by_hand(Hand::Centre(pixels, Box::new(calibration))))
 }
 
-/// How the focus is looked for where nothing else is asked, by the description.
-fn usual_focus(bench: &Workbench) -> FocusOptions {
-    FocusOptions {
-        sweep: bench.config.focus.sweep,
-        ..FocusOptions::default()
-    }
+/// What the description says of every job.
+fn usual(bench: &Workbench) -> Usual<'_> {
+    Usual::of(&bench.config)
 }
 
-fn focusing(bench: &Workbench, range_um: Option<f64>) -> Result<FocusOptions, ApiError> {
-    let usual = usual_focus(bench);
+fn focusing(range_um: Option<f64>) -> Result<FocusOptions, ApiError> {
+    let plain = FocusOptions::default();
     match range_um {
-        None => Ok(usual),
+        None => Ok(plain),
         Some(um) if (1.0..=1e4).contains(&um) => Ok(FocusOptions {
             half_range_um: um,
-            nearest_um: usual.nearest_um.min(um),
-            ..usual
+            nearest_um: plain.nearest_um.min(um),
+            ..plain
         }),
         Some(_) => Err(ApiError::input("range_um is from 1 to 10000")),
     }
@@ -315,11 +312,8 @@ fn calibrate(bench: &Workbench, objectives: Vec<String>) -> Result<Wish, ApiErro
     for named in &objectives {
         bench.scope.objective(named)?;
     }
-    let input = CalibrateInput {
-        objectives,
-        focus: Some(usual_focus(bench)),
-        ..CalibrateInput::default()
-    };
+    let focus = Some(FocusOptions::default());
+    let input = usual(bench).calibrate(objectives, focus, CalibrateOptions::default(), 0);
     let inputs = json!(input);
     Wish::job(Request::Calibrate(input), None, inputs)
 }
@@ -342,14 +336,8 @@ fn save(
 ) -> Result<Wish, ApiError> {
     bench.library.check_new_target(&name)?;
     label.slide.as_deref().map_or(Ok(()), check_slide)?;
-    let input = SaveTargetInput {
-        objective,
-        focus: focus.then(|| usual_focus(bench)),
-        focusing: usual_focus(bench),
-        still: bench.config.target.still,
-        known: bench.known_calibrations(|_| {}),
-        vision: VisionOptions::default(),
-    };
+    let known = bench.known_calibrations(|_| {});
+    let input = usual(bench).save(objective, (FocusOptions::default(), focus), false, known);
     let inputs = json!({"name": name, "slide": label.slide, "note": label.note, "input": input});
     Wish::job(Request::SaveTarget(input), Some(name), inputs)
 }
@@ -369,15 +357,7 @@ fn reposition(bench: &Workbench, name: String) -> Result<Wish, ApiError> {
     };
     let input = RepositionInput {
         target_id: kept.id.clone(),
-        options: RepositionOptions {
-            servo: ServoOptions {
-                within_um: bench.config.arrival.within_um,
-                within_deg: bench.config.arrival.within_deg,
-                ..ServoOptions::default()
-            },
-            focus: usual_focus(bench),
-            ..RepositionOptions::default()
-        },
+        options: usual(bench).reposition(ServoOptions::default(), FocusOptions::default()),
         foreign_um_per_px,
         known: bench.known_calibrations(|_| {}),
         switchings: bench.switchings.clone(),
@@ -394,6 +374,7 @@ fn reposition(bench: &Workbench, name: String) -> Result<Wish, ApiError> {
         case: Case::Any(Box::new(job)),
         about: Some(name),
         asked: Some(asked),
+        damaged: Vec::new(),
     })
 }
 
@@ -423,6 +404,7 @@ fn resume(bench: &Workbench) -> Result<Wish, ApiError> {
             case: Case::WasKept,
             about: Some(name.clone()),
             asked: None,
+            damaged: Vec::new(),
         });
     }
     if let Some(id) = job.target_id() {
@@ -437,6 +419,7 @@ fn resume(bench: &Workbench) -> Result<Wish, ApiError> {
             target: left.head.target.clone(),
             resumed: true,
         }),
+        damaged: Vec::new(),
     })
 }
 

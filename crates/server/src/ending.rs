@@ -25,6 +25,8 @@ pub(crate) struct Task {
     pub(crate) inputs: Option<Value>,
     /// Whether its page shows the views of a calibration.
     pub(crate) keeps_views: bool,
+    /// Whether nothing that it was to look at is damaged.
+    pub(crate) is_whole: bool,
     pub(crate) warnings: Vec<String>,
 }
 
@@ -136,6 +138,11 @@ fn keep(
         Ok(Done::WasKept) => was_kept(app, task),
         Ok(Done::Answer(answer)) => match *answer {
             Answer::SaveTarget(saved) => save(app, task, &saved),
+            Answer::Check(output) => {
+                let mut told = json!(output);
+                told["ok"] = json!(output.all_good() && task.is_whole);
+                (told, None)
+            }
             Answer::Reposition(output) => (reposition(&output, seconds), None),
             other => {
                 let told = serde_json::to_value(&other).unwrap_or_default();

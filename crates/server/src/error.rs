@@ -171,7 +171,9 @@ impl From<LibraryError> for ApiError {
             LibraryError::BadName(_) => (StatusCode::BAD_REQUEST, "bad_name"),
             LibraryError::Taken { .. } => (StatusCode::CONFLICT, "taken"),
             LibraryError::InUse { .. } => (StatusCode::CONFLICT, "in_use"),
-            LibraryError::NoTarget { .. } => (StatusCode::NOT_FOUND, "no_target"),
+            LibraryError::NoTarget { .. } | LibraryError::NoTargetNumbered { .. } => {
+                (StatusCode::NOT_FOUND, "no_target")
+            }
             LibraryError::NotInBin { .. } => (StatusCode::NOT_FOUND, "not_in_bin"),
             LibraryError::NoPicture { .. } => (StatusCode::NOT_FOUND, "no_picture"),
             LibraryError::TooManyPictures { .. } => (StatusCode::CONFLICT, "too_many_pictures"),

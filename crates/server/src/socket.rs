@@ -12,12 +12,15 @@ use crate::starting;
 use axum::body::Bytes;
 use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
 use axum::http::StatusCode;
+use futures_util::stream::{SplitSink, SplitStream};
+use futures_util::{SinkExt as _, StreamExt as _};
 use scopeservo_station::{Heard, Listener};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
+use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
 
 /// Who takes nothing for so long is cut off.
@@ -35,6 +38,11 @@ const SAID_PER_S: f64 = 50.0;
 const SAID_AT_ONCE: f64 = 200.0;
 /// So many events at once, then frames have their turn.
 const EVENTS: usize = 50;
+/// So much of what one said waits for its turn; a stop does not.
+const WAITING: usize = 256;
+
+/// The way to whoever is connected.
+type Ear = SplitSink<WebSocket, Message>;
 
 /// What a browser or a program says.
 #[derive(Debug, Deserialize)]
@@ -45,9 +53,23 @@ enum Said {
     Alive {},
     Jog(Way),
     JogEnd {},
-    Stop {},
     From { number: u64 },
     Ping { n: Value },
+}
+
+/// The one thing that waits for nothing else.
+#[derive(Debug, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+enum Urgent {
+    Stop {},
+}
+
+/// What came of a connection, in its order.
+enum Came {
+    Text(Utf8Bytes),
+    Pong,
+    /// A stop that a device did not take.
+    NotStopped(ApiError),
 }
 
 impl Said {
@@ -77,7 +99,8 @@ struct Client {
 }
 
 /// Serves one connection until it ends.
-pub(crate) async fn serve(app: Arc<App>, caller: Caller, mut socket: WebSocket) {
+pub(crate) async fn serve(app: Arc<App>, caller: Caller, socket: WebSocket) {
+    let (mut ear, mouth) = socket.split();
     let listener = app.console.session().listen();
     let next = *app.events.borrow();
     let hello = json!({"type": "hello", "version": env!("CARGO_PKG_VERSION"), "next": next});
@@ -92,30 +115,78 @@ pub(crate) async fn serve(app: Arc<App>, caller: Caller, mut socket: WebSocket) 
         app,
         caller,
     };
-    if tell(&mut socket, hello).await.is_ok() {
-        let _ = client.talk(&mut socket).await;
+    if tell(&mut ear, hello).await.is_ok() {
+        let (said, mut comes) = mpsc::channel(WAITING);
+        let reading = tokio::spawn(read(client.app.clone(), client.caller.clone(), mouth, said));
+        let _ = client.talk(&mut ear, &mut comes).await;
+        reading.abort();
     }
     // Whoever held the stage is gone.
     let (app, key) = (client.app.clone(), client.caller.key.clone());
     let _ = tokio::task::spawn_blocking(move || app.desk.let_go(&key)).await;
 }
 
+/// Reads what is said. A stop goes to the devices from here: nothing that is sent to the same one, or waits for a device, keeps it.
+async fn read(
+    app: Arc<App>,
+    caller: Caller,
+    mut mouth: SplitStream<WebSocket>,
+    said: mpsc::Sender<Came>,
+) {
+    while let Some(Ok(message)) = mouth.next().await {
+        let came = match message {
+            Message::Text(text) if serde_json::from_str::<Urgent>(&text).is_ok() => {
+                match blocking(&app, &caller, stop).await {
+                    Ok(()) => continue,
+                    Err(error) => Came::NotStopped(error),
+                }
+            }
+            Message::Text(text) => Came::Text(text),
+            Message::Pong(_) => Came::Pong,
+            Message::Close(_) => return,
+            Message::Binary(_) | Message::Ping(_) => continue,
+        };
+        if said.send(came).await.is_err() {
+            return;
+        }
+    }
+}
+
+/// What may wait for a device does not keep the connection from others.
+async fn blocking(
+    app: &Arc<App>,
+    caller: &Caller,
+    what: impl FnOnce(&Arc<App>, &Caller) -> Result<(), ApiError> + Send + 'static,
+) -> Result<(), ApiError> {
+    let (app, caller) = (app.clone(), caller.clone());
+    let done = tokio::task::spawn_blocking(move || what(&app, &caller)).await;
+    done.unwrap_or_else(|_| {
+        Err(ApiError::fault(
+            "a mistake of the program, told on its terminal",
+        ))
+    })
+}
+
 /// The connection has ended.
 struct Gone;
 
-async fn send(socket: &mut WebSocket, message: Message) -> Result<(), Gone> {
+async fn send(socket: &mut Ear, message: Message) -> Result<(), Gone> {
     match timeout(PATIENCE, socket.send(message)).await {
         Ok(Ok(())) => Ok(()),
         _ => Err(Gone),
     }
 }
 
-async fn tell(socket: &mut WebSocket, what: Value) -> Result<(), Gone> {
+async fn tell(socket: &mut Ear, what: Value) -> Result<(), Gone> {
     send(socket, Message::Text(Utf8Bytes::from(what.to_string()))).await
 }
 
 impl Client {
-    async fn talk(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn talk(
+        &mut self,
+        socket: &mut Ear,
+        comes: &mut mpsc::Receiver<Came>,
+    ) -> Result<(), Gone> {
         let mut standing = self.app.standing.subscribe();
         let mut events = self.app.events.subscribe();
         let mut often = interval(STANDING);
@@ -126,11 +197,11 @@ impl Client {
         draw.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
-                said = socket.recv() => match said {
-                    Some(Ok(Message::Text(text))) => self.heard(socket, &text).await?,
-                    Some(Ok(Message::Pong(_))) => self.is_there(),
-                    Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(Gone),
-                    Some(Ok(_)) => {}
+                came = comes.recv() => match came {
+                    Some(Came::Text(text)) => self.heard(socket, &text).await?,
+                    Some(Came::Pong) => self.is_there(),
+                    Some(Came::NotStopped(error)) => refuse(socket, error).await?,
+                    None => return Err(Gone),
                 },
                 changed = standing.changed() => {
                     changed.map_err(|_| Gone)?;
@@ -151,7 +222,7 @@ impl Client {
     }
 
     /// Who logged out, or was taken out, hears nothing more.
-    async fn is_somebody(&self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn is_somebody(&self, socket: &mut Ear) -> Result<(), Gone> {
         if self.app.people.knows(&self.caller) {
             return Ok(());
         }
@@ -161,12 +232,12 @@ impl Client {
         Err(Gone)
     }
 
-    async fn tell_standing(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn tell_standing(&mut self, socket: &mut Ear) -> Result<(), Gone> {
         let state = look::told(&self.app, &self.caller);
         tell(socket, json!({"type": "state", "state": state})).await
     }
 
-    async fn tell_events(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn tell_events(&mut self, socket: &mut Ear) -> Result<(), Gone> {
         for _ in 0..EVENTS {
             match self.listener.heard() {
                 None => return Ok(()),
@@ -184,7 +255,7 @@ impl Client {
     }
 
     /// The newest frame, when the one before was drawn.
-    async fn show(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
+    async fn show(&mut self, socket: &mut Ear) -> Result<(), Gone> {
         let Some(watching) = &mut self.watching else {
             return Ok(());
         };
@@ -204,7 +275,7 @@ impl Client {
         send(socket, Message::Binary(encoded.message().into())).await
     }
 
-    async fn heard(&mut self, socket: &mut WebSocket, text: &str) -> Result<(), Gone> {
+    async fn heard(&mut self, socket: &mut Ear, text: &str) -> Result<(), Gone> {
         let said: Said = match serde_json::from_str(text) {
             Ok(said) => said,
             Err(error) => return refuse(socket, ApiError::input(error.to_string())).await,
@@ -230,18 +301,11 @@ impl Client {
             Said::Ping { n } => tell(socket, json!({"type": "pong", "n": n})).await?,
             Said::JogEnd {} => {
                 self.stops = self.app.stops.load(Ordering::SeqCst);
-                self.blocking(|app, caller| {
+                let let_go = |app: &Arc<App>, caller: &Caller| {
                     app.desk.let_go(&caller.key);
                     Ok(())
-                })
-                .await
-                .ok();
-            }
-            Said::Stop {} => {
-                let stopped = self.blocking(stop).await;
-                if let Err(error) = stopped {
-                    return refuse(socket, error).await;
-                }
+                };
+                blocking(&self.app, &self.caller, let_go).await.ok();
             }
             // A stop came while it was held: it is let go first, whatever the program there does.
             Said::Jog(_) if self.stops != self.app.stops.load(Ordering::SeqCst) => {
@@ -252,11 +316,11 @@ impl Client {
                 self.is_somebody(socket).await?;
                 let near = self.caller.here || self.app.elsewhere_for().is_some();
                 self.caller.near = near;
+                let stops = self.stops;
+                let begin =
+                    move |app: &Arc<App>, caller: &Caller| starting::jog(app, caller, way, stops);
                 let begun = match Need::Move.met_by(Some(&self.caller)) {
-                    Ok(()) => {
-                        self.blocking(move |app, caller| starting::jog(app, caller, way))
-                            .await
-                    }
+                    Ok(()) => blocking(&self.app, &self.caller, begin).await,
                     refused => refused,
                 };
                 if let Err(error) = begun {
@@ -285,20 +349,6 @@ impl Client {
             false => Duration::ZERO,
         };
     }
-
-    /// What may wait for a device does not keep the connection from others.
-    async fn blocking(
-        &self,
-        what: impl FnOnce(&Arc<App>, &Caller) -> Result<(), ApiError> + Send + 'static,
-    ) -> Result<(), ApiError> {
-        let (app, caller) = (self.app.clone(), self.caller.clone());
-        let done = tokio::task::spawn_blocking(move || what(&app, &caller)).await;
-        done.unwrap_or_else(|_| {
-            Err(ApiError::fault(
-                "a mistake of the program, told on its terminal",
-            ))
-        })
-    }
 }
 
 /// Everything stands still.
@@ -312,7 +362,7 @@ pub(crate) fn stop(app: &Arc<App>, caller: &Caller) -> Result<(), ApiError> {
     Ok(told?)
 }
 
-async fn refuse(socket: &mut WebSocket, error: ApiError) -> Result<(), Gone> {
+async fn refuse(socket: &mut Ear, error: ApiError) -> Result<(), Gone> {
     let what = json!({"type": "refused", "code": error.code, "message": error.message});
     tell(socket, what).await
 }

@@ -11,16 +11,32 @@ use crate::people::Caller;
 use scopeservo_station::{JobId, UseCase as _};
 use scopeservo_workbench::Asked;
 use serde_json::json;
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
-/// Starts a job for somebody, who takes the seat if it is free.
+/// Starts a job for somebody, who takes the seat if it is free. `stops`: the stops that there had been when it was asked for. A stop that came since is
+/// meant for it too, however long it waited for a device.
 ///
 /// # Errors
-/// `busy` while another job is under way, `held` when somebody else drives, `unfinished` when a killed job waits.
-pub(crate) fn start(app: &Arc<App>, caller: &Caller, wish: Wish) -> Result<JobId, ApiError> {
-    let Wish { case, about, asked } = wish;
+/// `busy` while another job is under way, `held` when somebody else drives, `unfinished` when a killed job waits, `stopped`.
+pub(crate) fn start(
+    app: &Arc<App>,
+    caller: &Caller,
+    wish: Wish,
+    stops: u64,
+) -> Result<JobId, ApiError> {
+    let Wish {
+        case,
+        about,
+        asked,
+        damaged,
+    } = wish;
     let kind = case.kind();
     let (entry, (task, job)) = app.desk.put(|| {
+        if app.stops.load(Ordering::SeqCst) != stops {
+            let message = "a stop came before it began: nothing was started. Start it again";
+            return Err(ApiError::conflict("stopped", message));
+        }
         let is_new = asked.as_ref().is_some_and(|asked| !asked.resumed);
         if let (true, Some(standing)) = (is_new, app.bench.waits()?) {
             return Err(ApiError::unfinished(&standing));
@@ -45,6 +61,10 @@ pub(crate) fn start(app: &Arc<App>, caller: &Caller, wish: Wish) -> Result<JobId
             _ => None,
         };
         let job = app.console.session().start(&lease, case)?;
+        // A stop counts first and then stops the jobs that there are: whichever of the two came first, this one does not go on.
+        if app.stops.load(Ordering::SeqCst) != stops {
+            let _ = job.handle().stop();
+        }
         let entry = Arc::new(Entry {
             kind,
             owner: caller.user.clone(),
@@ -57,7 +77,11 @@ pub(crate) fn start(app: &Arc<App>, caller: &Caller, wish: Wish) -> Result<JobId
             record,
             inputs,
             keeps_views: kind == "calibrate",
-            warnings: lost.map(|lost| lost.to_string()).into_iter().collect(),
+            is_whole: damaged.is_empty(),
+            warnings: damaged
+                .into_iter()
+                .chain(lost.map(|lost| lost.to_string()))
+                .collect(),
         };
         Ok((entry, hold, (task, job)))
     })?;
@@ -88,11 +112,11 @@ fn with_names(app: &App, caller: &Caller, mut asked: Asked) -> Asked {
 ///
 /// # Errors
 /// As [`start`].
-pub(crate) fn jog(app: &Arc<App>, caller: &Caller, way: Way) -> Result<(), ApiError> {
+pub(crate) fn jog(app: &Arc<App>, caller: &Caller, way: Way, stops: u64) -> Result<(), ApiError> {
     if app.desk.goes_on(&caller.key, way)? {
         return Ok(());
     }
     let hold = Hold::default();
     hold.hold(way);
-    start(app, caller, Wish::jog(&app.bench, hold)).map(drop)
+    start(app, caller, Wish::jog(&app.bench, hold), stops).map(drop)
 }

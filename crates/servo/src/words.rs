@@ -1,7 +1,7 @@
 //! Words for people that errors and answers share.
 
 use scopeservo_registration::{NoGrid, Rival};
-use scopeservo_scope::Axis;
+use scopeservo_scope::{Axis, deg_in_words, um_in_words};
 
 /// What a rival is, for people: the way from one place to the other that looks like it.
 pub(crate) fn rival_in_words(rival: &Rival, um_per_px: Option<f64>) -> String {
@@ -24,15 +24,18 @@ pub(crate) fn rival_in_words(rival: &Rival, um_per_px: Option<f64>) -> String {
 pub(crate) fn astray_in_words(off_um: Option<f64>) -> String {
     off_um.map_or(
         "views that must show the same place do not".to_owned(),
-        |um| format!("in the end the view was {um:.1} um beside where the stage said it is"),
+        |um| {
+            let um = um_in_words(um, 1);
+            format!("in the end the view was {um} beside where the stage said it is")
+        },
     )
 }
 
 /// How far an axis goes, of m or rad.
 pub(crate) fn way_in_words(axis: Axis, si: f64) -> String {
     match axis.is_rotation() {
-        true => format!("{:.2} deg", si.to_degrees()),
-        false => format!("{:.0} um", si * 1e6),
+        true => deg_in_words(si.to_degrees(), 2),
+        false => um_in_words(si * 1e6, 0),
     }
 }
 

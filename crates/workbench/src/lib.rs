@@ -12,6 +12,7 @@ mod known;
 mod page;
 mod record;
 mod specimen;
+mod usual;
 mod workbench;
 
 pub use console::{Console, Late, Told};
@@ -19,4 +20,5 @@ pub use journal::{Asked, FileJournal, Made, contradiction, standing, what};
 pub use page::readable;
 pub use record::{RunRecord, label_of};
 pub use specimen::LayError;
+pub use usual::Usual;
 pub use workbench::{OpenError, Workbench};

@@ -63,9 +63,10 @@ pub(crate) struct LibraryRestoreArgs {
 #[command(after_help = "Examples:
   scopeservo library export everything
 
-Targets and their pictures, calibrations, runs with events and reports. A data folder of such files is taken in by this program again.")]
+Targets and their pictures, calibrations, runs with events, reports and what was seen at arrival, pictures that somebody brought. A data folder of such files is
+taken in by this program again, but for brought pictures. What ended early goes on with the same command.")]
 pub(crate) struct LibraryExportArgs {
-    /// A folder that is empty, or not there yet.
+    /// A folder that is empty, not there yet, or holds an export that ended early.
     pub(crate) folder: PathBuf,
     #[command(flatten)]
     pub(crate) kept: KeptArgs,

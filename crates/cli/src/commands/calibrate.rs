@@ -11,11 +11,11 @@ use crate::progress::Watcher;
 use crate::views::{keep_report, try_out};
 use scopeservo_library::Calibrations as _;
 use scopeservo_report::{Work, WorkEnd};
-use scopeservo_scope::{Objective, ObjectiveId};
+use scopeservo_scope::{Objective, ObjectiveId, um_in_words};
 use scopeservo_servo::{
     CalibrateOptions, Calibration, EXAMPLE_MOVE, Known, Parcentric, SwitchingReport,
 };
-use scopeservo_station::jobs::{CalibrateInput, CalibrateJob, CalibrateOutput, Whole};
+use scopeservo_station::jobs::{CalibrateJob, CalibrateOutput, Whole};
 use scopeservo_workbench::{Asked, Made};
 use serde_json::json;
 use std::path::Path;
@@ -33,7 +33,6 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
     try_out(&args.report.out)?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let focus = opened.focusing(focus);
     let named = args.objective.iter().cloned().map(ObjectiveId);
     let objectives: Vec<ObjectiveId> = named.collect();
     let wanted = |o: &&Objective| objectives.is_empty() || objectives.contains(&o.id);
@@ -43,16 +42,14 @@ pub(crate) fn calibrate(args: &CalibrateArgs, answer: &Answer) -> Result<bool, C
         opened.scope.objective(named)?;
     }
     opened.library.try_calibrations(&wanted)?;
-    let input = CalibrateInput {
-        objectives,
-        focus: (!args.no_focus).then_some(focus),
-        switching: args.switching,
-        calibrate: CalibrateOptions {
-            method: args.method.into(),
-            ..CalibrateOptions::default()
-        },
-        ..CalibrateInput::default()
+    let how = CalibrateOptions {
+        method: args.method.into(),
+        ..CalibrateOptions::default()
     };
+    let focus = (!args.no_focus).then_some(focus);
+    let input = opened
+        .usual()
+        .calibrate(objectives, focus, how, args.switching);
     let asked = Asked {
         inputs: json!(input),
         ..Asked::default()
@@ -304,8 +301,9 @@ fn show_calibration(answer: &Answer, calibration: &Calibration, residual_px: Opt
         let turns = calibration.rotation_centre_m.map_or("", |_| " and 1 deg");
         say!(
             answer,
-            "  one move of {:.0} um{turns} is expected to end {off_um:.2} um off",
-            EXAMPLE_MOVE.0 * 1e6
+            "  one move of {:.0} um{turns} is expected to end {} off",
+            EXAMPLE_MOVE.0 * 1e6,
+            um_in_words(off_um, 2)
         );
     }
 }

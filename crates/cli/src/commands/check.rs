@@ -8,9 +8,9 @@ use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
 use crate::output::{change_in_words, changes_in_words};
 use crate::progress::Watcher;
-use scopeservo_scope::ObjectiveId;
+use scopeservo_scope::{ObjectiveId, um_in_words};
 use scopeservo_servo::{Broken, Changing, SelfTestReport, SelfTestVerdict, Together};
-use scopeservo_station::jobs::{CheckInput, CheckJob, CheckOutput, Checked};
+use scopeservo_station::jobs::{CheckJob, CheckOutput, Checked};
 use scopeservo_workbench::Asked;
 use serde_json::{Value, json};
 
@@ -18,7 +18,6 @@ pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError>
     let focus = args.focusing.options()?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let focus = opened.focusing(focus);
     let named: Vec<ObjectiveId> = args.objective.iter().cloned().map(ObjectiveId).collect();
     let wanted = |id: &ObjectiveId| named.is_empty() || named.contains(id);
     let mut is_damaged = false;
@@ -46,11 +45,8 @@ pub(crate) fn check(args: &CheckArgs, answer: &Answer) -> Result<bool, CliError>
         let what = "no calibration of this instrument and camera is kept: `scopeservo calibrate`";
         return Err(CliError::Usage(what.into()));
     }
-    let input = CheckInput {
-        calibrations,
-        focus: (!args.no_focus).then_some(focus),
-        ..CheckInput::default()
-    };
+    let focus = (!args.no_focus).then_some(focus);
+    let input = opened.usual().check(calibrations, focus);
     let asked = Asked {
         inputs: json!(input),
         ..Asked::default()
@@ -118,16 +114,17 @@ fn show_one(answer: &Answer, report: &SelfTestReport) {
         SelfTestVerdict::Replace => ("replace, calibrate", Hope::Failed),
     };
     let verdict = colour::verdict(verdict, hope);
+    // What it would miss by counts only where it was seen for sure.
+    let off_um = match report.verdict {
+        SelfTestVerdict::Good => report.expected_error_um,
+        _ => report.expected_error_um.hypot(report.misses_um),
+    };
     say!(
         answer,
-        "{}: {verdict}: {}; one move is expected to end {:.2} um off",
+        "{}: {verdict}: {}; one move is expected to end {} off",
         report.objective,
         changed(report),
-        // What it would miss by counts only where it was seen for sure.
-        match report.verdict {
-            SelfTestVerdict::Good => report.expected_error_um,
-            _ => report.expected_error_um.hypot(report.misses_um),
-        }
+        um_in_words(off_um, 2)
     );
 }
 

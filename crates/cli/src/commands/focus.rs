@@ -8,8 +8,7 @@ use crate::open_instrument::OpenInstrument;
 use crate::progress::Watcher;
 use scopeservo_report::{Work, WorkEnd};
 use scopeservo_scope::ObjectiveId;
-use scopeservo_servo::VisionOptions;
-use scopeservo_station::jobs::{FocusInput, FocusJob, FocusOutput};
+use scopeservo_station::jobs::{FocusJob, FocusOutput};
 use scopeservo_workbench::Asked;
 use serde_json::json;
 use std::time::Instant;
@@ -21,13 +20,8 @@ pub(crate) fn focus(args: &FocusArgs, answer: &Answer) -> Result<bool, CliError>
     }
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let focus = opened.focusing(focus);
-    let input = FocusInput {
-        objective: args.objective.clone().map(ObjectiveId),
-        near_z_um: args.near_z_um,
-        focus,
-        vision: VisionOptions::default(),
-    };
+    let objective = args.objective.clone().map(ObjectiveId);
+    let input = opened.usual().focus(objective, args.near_z_um, focus);
     let asked = Asked {
         inputs: json!(input),
         ..Asked::default()

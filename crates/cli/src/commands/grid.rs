@@ -7,9 +7,9 @@ use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
 use crate::progress::Watcher;
 use scopeservo_registration::Term;
-use scopeservo_scope::ObjectiveId;
+use scopeservo_scope::{ObjectiveId, um_in_words};
 use scopeservo_servo::{Compared, Comparison, GridOptions, GridReport, Known, Quantity};
-use scopeservo_station::jobs::{GridInput, GridJob, GridOutput};
+use scopeservo_station::jobs::{GridJob, GridOutput};
 use scopeservo_workbench::Asked;
 use serde_json::json;
 
@@ -26,18 +26,15 @@ pub(crate) fn grid(args: &GridArgs, answer: &Answer) -> Result<bool, CliError> {
     }
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let focus = opened.focusing(focus);
-    let input = GridInput {
-        objective: args.objective.clone().map(ObjectiveId),
-        focus: (!args.no_focus).then_some(focus),
-        grid: GridOptions {
-            pitch_um: args.pitch_um,
-            reach_um: args.reach_um,
-            ..GridOptions::default()
-        },
-        calibrations: known_calibrations(&opened, answer),
-        ..GridInput::default()
+    let grid = GridOptions {
+        pitch_um: args.pitch_um,
+        reach_um: args.reach_um,
+        ..GridOptions::default()
     };
+    let focus = (!args.no_focus).then_some(focus);
+    let objective = args.objective.clone().map(ObjectiveId);
+    let known = known_calibrations(&opened, answer);
+    let input = opened.usual().grid(objective, focus, grid, known);
     let asked = Asked {
         inputs: json!(input),
         ..Asked::default()
@@ -152,7 +149,7 @@ fn show_stage(answer: &Answer, report: &GridReport) {
     let rotation = stage.rotation.as_ref();
     say!(
         answer,
-        "  the stage goes {} % too far along x, {} % along y{}; its axes are {} deg off a right angle; arrivals scatter by {:.2} um",
+        "  the stage goes {} % too far along x, {} % along y{}; its axes are {} deg off a right angle; arrivals scatter by {}",
         plus_minus(&stage.x, 100.0, 4),
         plus_minus(&stage.y, 100.0, 4),
         rotation.map_or(String::new(), |r| format!(
@@ -160,7 +157,7 @@ fn show_stage(answer: &Answer, report: &GridReport) {
             plus_minus(r, 100.0, 2)
         )),
         plus_minus(&stage.square_deg, 1.0, 4),
-        stage.scatter_um
+        um_in_words(stage.scatter_um, 2)
     );
 }
 

@@ -8,9 +8,9 @@ use crate::error::CliError;
 use crate::open_instrument::OpenInstrument;
 use crate::progress::Watcher;
 use scopeservo_report::{Work, WorkEnd};
-use scopeservo_scope::{ObjectiveId, PositiveZ};
+use scopeservo_scope::{ObjectiveId, PositiveZ, um_in_words};
 use scopeservo_servo::{Known, LevelOptions, LevelReport, Levelled, Tilt, TiltReport};
-use scopeservo_station::jobs::{LevelInput, LevelJob, LevelOutput};
+use scopeservo_station::jobs::{LevelJob, LevelOutput};
 use scopeservo_workbench::Asked;
 use serde_json::json;
 use std::time::Instant;
@@ -23,19 +23,15 @@ pub(crate) fn level(args: &LevelArgs, answer: &Answer) -> Result<bool, CliError>
     }
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let focus = opened.focusing(focus);
-    let input = LevelInput {
-        objective: args.objective.clone().map(ObjectiveId),
-        focus: (!args.no_focus).then(|| focus.clone()),
-        level: LevelOptions {
-            apply: args.apply,
-            focus,
-            lever_mm: args.lever_mm,
-            ..LevelOptions::default()
-        },
-        calibrations: known_calibrations(&opened, answer),
-        ..LevelInput::default()
+    let level = LevelOptions {
+        apply: args.apply,
+        focus,
+        lever_mm: args.lever_mm,
+        ..LevelOptions::default()
     };
+    let objective = args.objective.clone().map(ObjectiveId);
+    let known = known_calibrations(&opened, answer);
+    let input = opened.usual().level(objective, args.no_focus, level, known);
     let asked = Asked {
         inputs: json!(input),
         ..Asked::default()
@@ -147,10 +143,10 @@ fn show_tilt(answer: &Answer, report: &TiltReport, then: &str) {
     );
     say!(
         answer,
-        "  seen in {} of {} parts of the view, which lie {:.2} um about the plane ({:.0} % of their heights explained, {} images)",
+        "  seen in {} of {} parts of the view, which lie {} about the plane ({:.0} % of their heights explained, {} images)",
         tilt.used,
         report.blocks,
-        tilt.scatter_um,
+        um_in_words(tilt.scatter_um, 2),
         100.0 * tilt.goodness.max(0.0),
         report.frames
     );

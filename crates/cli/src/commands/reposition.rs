@@ -6,19 +6,17 @@ use crate::answer::Answer;
 use crate::args::RepositionArgs;
 use crate::colour;
 use crate::error::{CliError, Code};
-use crate::open_instrument::{OpenInstrument, Ran, focusing};
+use crate::open_instrument::{OpenInstrument, Ran};
 use crate::output;
 use crate::progress::Watcher;
 use crate::views::{keep_report, try_out};
 use scopeservo_library::{KeptTarget, Targets as _};
 use scopeservo_report as report;
 use scopeservo_scope::Axis;
-use scopeservo_servo::{
-    FrameRole, Outcome, Reason, RepositionOptions, ServoOptions, Sink as _, Verdict,
-};
+use scopeservo_servo::{FrameRole, Outcome, Reason, ServoOptions, Sink as _, Verdict};
 use scopeservo_setup::Config;
 use scopeservo_station::jobs::{RepositionInput, RepositionJob, RepositionOutput};
-use scopeservo_workbench::Asked;
+use scopeservo_workbench::{Asked, Usual};
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
@@ -28,12 +26,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
     let focus = args.focusing.options()?;
     // What can be wrong without the instrument is found before it is touched.
     let config = Config::read(&args.instrument.description.config)?;
-    let focus = focusing(&config, focus);
-    let servo = ServoOptions {
-        within_um: asked.within_um.or(config.arrival.within_um),
-        within_deg: asked.within_deg.or(config.arrival.within_deg),
-        ..asked
-    };
+    let options = Usual::of(&config).reposition(asked, focus);
     let kept = library_of(&args.instrument.description, answer)?.target(&args.name)?;
     let foreign_um_per_px = match kept.instrument == config.name {
         true => None,
@@ -44,11 +37,7 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
     opened.check_nothing_waits()?;
     let input = RepositionInput {
         target_id: kept.id.clone(),
-        options: RepositionOptions {
-            servo,
-            focus,
-            ..RepositionOptions::default()
-        },
+        options,
         foreign_um_per_px,
         known: match args.calibrate {
             true => Vec::new(),

@@ -9,8 +9,8 @@ use crate::output;
 use crate::progress::Watcher;
 use scopeservo_library::{Label, NewTarget, Targets as _, check_slide};
 use scopeservo_scope::ObjectiveId;
-use scopeservo_servo::{Event, Target, VisionOptions};
-use scopeservo_station::jobs::{SaveTargetInput, SaveTargetJob, SaveTargetOutput};
+use scopeservo_servo::{Event, Target};
+use scopeservo_station::jobs::{SaveTargetJob, SaveTargetOutput};
 use scopeservo_workbench::{Asked, label_of};
 use serde_json::json;
 
@@ -21,15 +21,10 @@ pub(crate) fn save_target(args: &TargetSaveArgs, answer: &Answer) -> Result<bool
     args.slide.as_deref().map_or(Ok(()), check_slide)?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
-    let focusing = opened.focusing(focusing);
-    let input = SaveTargetInput {
-        objective: args.objective.clone().map(ObjectiveId),
-        focus: args.focus.then(|| focusing.clone()),
-        focusing,
-        still: args.still || opened.config.target.still,
-        known: known_calibrations(&opened, answer),
-        vision: VisionOptions::default(),
-    };
+    let objective = args.objective.clone().map(ObjectiveId);
+    let known = known_calibrations(&opened, answer);
+    let focus = (focusing, args.focus);
+    let input = opened.usual().save(objective, focus, args.still, known);
     let asked = Asked {
         inputs: json!({"name": args.name, "slide": args.slide, "note": args.note, "input": input}),
         ..Asked::default()

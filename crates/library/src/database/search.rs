@@ -20,6 +20,8 @@ pub struct TargetQuery<'a> {
     pub limit: usize,
     /// Only those after this one in the list.
     pub after: Option<&'a str>,
+    /// The same by its number, wherever it lies by now: in the bin several may have one name.
+    pub after_number: Option<i64>,
     /// Those in the bin, instead of those that are not.
     pub binned: bool,
     /// Only those of which coming back is expected so surely.
@@ -62,21 +64,18 @@ impl Database {
     /// Targets, the newest first.
     ///
     /// # Errors
-    /// [`LibraryError::NoTarget`] for the one after which they were wanted; those of the database.
+    /// [`LibraryError::NoTarget`] for the one after which they were wanted, [`LibraryError::NoTargetNumbered`]; those of the database.
     pub fn find_targets(&self, wanted: &TargetQuery<'_>) -> Result<Vec<TargetRow>, LibraryError> {
-        let after: Option<(String, i64)> = match wanted.after {
-            None => None,
-            Some(name) => {
-                let place = self.read(|c| {
-                    let place = c.query_row(
-                        "SELECT saved, id FROM targets WHERE name = ?1 AND binned IS NULL",
-                        [name],
-                        |row| Ok((row.get(0)?, row.get(1)?)),
-                    );
-                    Ok(place.optional()?)
-                })?;
+        let after = match (wanted.after_number, wanted.after) {
+            (Some(number), _) => {
+                let place = self.place("id = ?1", number.into())?;
+                Some(place.ok_or(LibraryError::NoTargetNumbered { number })?)
+            }
+            (None, Some(name)) => {
+                let place = self.place("name = ?1 AND binned IS NULL", name.to_owned().into())?;
                 Some(place.ok_or_else(|| self.no_target(name))?)
             }
+            (None, None) => None,
         };
         let mut given: Vec<Value> = Vec::new();
         let mut rules = vec![match wanted.binned {
@@ -129,6 +128,15 @@ impl Database {
             let mut rows = c.prepare_cached(&sql)?;
             let rows = rows.query_map(params_from_iter(given), TargetRow::of)?;
             Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Where a target stands in the list.
+    fn place(&self, rule: &str, of: Value) -> Result<Option<(String, i64)>, LibraryError> {
+        self.read(|c| {
+            let sql = format!("SELECT saved, id FROM targets WHERE {rule}");
+            let place = c.query_row(&sql, [of], |row| Ok((row.get(0)?, row.get(1)?)));
+            Ok(place.optional()?)
         })
     }
 

@@ -45,12 +45,15 @@ pub struct TargetRow {
     /// Its picture for people.
     #[serde(skip)]
     pub(crate) picture: Option<String>,
+    /// What tells it from all others, also from those in the bin that have its name.
+    #[serde(skip)]
+    pub number: i64,
 }
 
 /// What [`TargetRow::of`] reads.
 pub(crate) const COLUMNS: &str = "targets.name, targets.content, targets.saved, instruments.name, slides.name, \
      targets.note, targets.objective, targets.um_per_px, targets.width_px, targets.height_px, targets.features, \
-     targets.quality, targets.stage, targets.damaged, targets.binned, targets.file, targets.picture";
+     targets.quality, targets.stage, targets.damaged, targets.binned, targets.file, targets.picture, targets.id";
 
 /// Where it reads them.
 pub(crate) const FROM: &str = "targets JOIN instruments ON instruments.id = targets.instrument \
@@ -80,6 +83,7 @@ impl TargetRow {
             binned: row.get(14)?,
             file: row.get(15)?,
             picture: row.get(16)?,
+            number: row.get(17)?,
         })
     }
 }

@@ -132,7 +132,12 @@ fn an_export_is_plain_files_that_another_library_takes_in_again() {
     );
     let back = Database::new(out);
     assert!(back.take_in(&mut |_, _| {}).unwrap().is_empty());
-    let row = |library: &Database, name| library.target_row(name).unwrap();
+    // Its number is each library's own.
+    let row = |library: &Database, name| {
+        let mut row = library.target_row(name).unwrap();
+        row.number = 0;
+        row
+    };
     for name in ["spot", "plain"] {
         assert_eq!(row(&back, name), row(&library, name));
         assert_eq!(back.target(name).unwrap(), library.target(name).unwrap());
@@ -146,6 +151,149 @@ fn an_export_is_plain_files_that_another_library_takes_in_again() {
     assert_eq!(back.run(&id).unwrap().verdict.as_deref(), Some("arrived"));
     assert!(back.run(&id).unwrap().report);
     assert_eq!(back.check(false, &mut |_, _| {}).unwrap().faults, []);
+}
+
+/// A library with a picture of each kind, and where its export has them.
+fn with_pictures(dir: &Path, library: &Database) -> Vec<(PathBuf, Vec<u8>)> {
+    keep(library, "spot", &label("17-B", "a note")).unwrap();
+    keep(library, "plain", &Label::default()).unwrap();
+    let mut run = library
+        .begin_run(&common::head("reposition", "spot"))
+        .unwrap();
+    run.attach("arrival.jpg", b"what was seen").unwrap();
+    let id = run.id().to_owned();
+    run.end(&serde_json::json!({"verdict": "arrived"})).unwrap();
+    let new = NewPicture {
+        name: "gland",
+        um_per_px: 0.25,
+        size_px: [8, 6],
+        user: "anna",
+    };
+    library.keep_picture(new, b"as it came", "tif").unwrap();
+    let object = |name: &str| library.path().join("objects").join(&name[..2]).join(name);
+    let open = rusqlite::Connection::open(library.file()).unwrap();
+    let picture = |name: &str| {
+        let of = "SELECT picture FROM targets WHERE name = ?1";
+        let file: String = open.query_row(of, [name], |row| row.get(0)).unwrap();
+        fs::read(object(&file)).unwrap()
+    };
+    vec![
+        (dir.join("targets/spot.png"), picture("spot")),
+        (dir.join("targets/plain.png"), picture("plain")),
+        (
+            dir.join("runs").join(id).join("arrival.jpg"),
+            b"what was seen".into(),
+        ),
+        (dir.join("pictures/gland.tif"), b"as it came".into()),
+    ]
+}
+
+#[test]
+fn an_export_has_every_picture_byte_by_byte_and_names_what_is_damaged() {
+    let (dir, library) = new();
+    let out = dir.path().join("out");
+    let pictures = with_pictures(&out, &library);
+    let done = library.export(&out, &mut |_, _| {}).unwrap();
+    assert_eq!(
+        (done.targets, done.runs, done.pictures, done.left.len()),
+        (2, 1, 4, 0)
+    );
+    for (file, bytes) in &pictures {
+        assert!(&fs::read(file).unwrap() == bytes, "{}", file.display());
+    }
+    let said = fs::read_to_string(out.join("pictures/gland.json")).unwrap();
+    let said: serde_json::Value = serde_json::from_str(&said).unwrap();
+    assert_eq!(
+        (&said["um_per_px"], &said["user"]),
+        (&0.25.into(), &"anna".into())
+    );
+    assert!(!out.join("UNFINISHED.txt").exists());
+    assert!(
+        library.export(&out, &mut |_, _| {}).is_err(),
+        "only an unfinished one goes on"
+    );
+    // Each of them damaged in turn: told by what it is, and all others are there.
+    let named = [
+        "the picture of 'spot'",
+        "the picture of 'plain'",
+        "arrival.jpg of the run '",
+        "the picture 'gland' that was brought",
+    ];
+    for (k, (file, bytes)) in pictures.iter().enumerate() {
+        let all = bytes_below(&library.path().join("objects"));
+        let (object, _) = all.iter().find(|(_, there)| there == bytes).unwrap();
+        fs::write(object, b"damaged").unwrap();
+        let out = dir.path().join(format!("out-{k}"));
+        let done = library.export(&out, &mut |_, _| {}).unwrap();
+        fs::write(object, bytes).unwrap();
+        let left: Vec<String> = done.left.iter().map(ToString::to_string).collect();
+        assert_eq!((left.len(), done.pictures), (1, 3), "{left:?}");
+        assert!(left[0].starts_with(named[k]), "{left:?}");
+        let within = file.strip_prefix(dir.path().join("out")).unwrap();
+        assert!(!out.join(within).exists(), "{left:?}");
+    }
+}
+
+#[test]
+fn an_export_that_ended_early_says_so_and_goes_on() {
+    let (dir, library) = new();
+    let out = dir.path().join("out");
+    let pictures = with_pictures(&out, &library);
+    // Something stands where a folder is to be, as a full disk would: nothing is told as done.
+    fs::create_dir(&out).unwrap();
+    fs::write(out.join("UNFINISHED.txt"), "").unwrap();
+    fs::write(out.join("runs"), "in the way").unwrap();
+    let said = library.export(&out, &mut |_, _| {}).unwrap_err();
+    assert!(matches!(said, LibraryError::NotKept { .. }), "{said}");
+    assert!(out.join("UNFINISHED.txt").exists());
+    fs::remove_file(out.join("runs")).unwrap();
+    // Killed anywhere on the way, and then something else is called otherwise and somebody changed a file.
+    for at in 0..3 {
+        let killed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            library.export(&out, &mut |done, _| assert!(done < at, "killed"))
+        }));
+        assert!(killed.is_err() && out.join("UNFINISHED.txt").exists());
+    }
+    fs::write(&pictures[0].0, "half of it").unwrap();
+    let old = out.join("targets/gone.target");
+    fs::write(&old, "was renamed").unwrap();
+    let done = library.export(&out, &mut |_, _| {}).unwrap();
+    assert_eq!((done.targets, done.runs, done.pictures), (2, 1, 4));
+    for (file, bytes) in &pictures {
+        assert!(&fs::read(file).unwrap() == bytes, "{}", file.display());
+    }
+    let left: Vec<String> = done.left.iter().map(ToString::to_string).collect();
+    assert_eq!(left.len(), 1, "{left:?}");
+    assert!(left[0].contains("gone.target"), "{left:?}");
+    assert!(old.exists() && !out.join("UNFINISHED.txt").exists());
+}
+
+#[test]
+fn names_of_a_strange_library_lead_nowhere_in_an_export() {
+    let (dir, library) = new();
+    with_pictures(dir.path(), &library);
+    let open = rusqlite::Connection::open(library.file()).unwrap();
+    for (change, what) in [
+        (
+            "UPDATE targets SET name = '../../out-of-it' WHERE name = 'spot'",
+            "the target '../../out-of-it'",
+        ),
+        (
+            "UPDATE pictures SET name = '/tmp/elsewhere/x'",
+            "the picture '/tmp/elsewhere/x' that was brought",
+        ),
+        ("UPDATE attachments SET name = '..'", ".. of the run"),
+        ("UPDATE runs SET name = 'a/b'", "the run 'a/b'"),
+    ] {
+        open.execute(change, []).unwrap();
+        let out = dir.path().join("deep/er/out");
+        let done = library.export(&out, &mut |_, _| {}).unwrap();
+        let left: Vec<String> = done.left.iter().map(ToString::to_string).collect();
+        assert!(left.iter().any(|l| l.starts_with(what)), "{what}: {left:?}");
+        assert!(!dir.path().join("deep/out-of-it.target").exists());
+        assert!(!dir.path().join("out-of-it.target").exists());
+        fs::remove_dir_all(dir.path().join("deep")).unwrap();
+    }
 }
 
 #[test]

@@ -188,6 +188,23 @@ fn targets_are_found_by_parts_of_words_of_name_note_and_slide() {
     };
     let said = library.find_targets(&after).unwrap_err();
     assert!(matches!(said, LibraryError::NoTarget { .. }), "{said}");
+    // By its number the place is known also where the name is not the one in the list, until nothing is left of it.
+    let numbered = |number| {
+        library.find_targets(&TargetQuery {
+            after_number: Some(number),
+            ..TargetQuery::default()
+        })
+    };
+    let vessel = library.target_row("vessel").unwrap().number;
+    let names = |rows: Vec<scopeservo_library::TargetRow>| -> Vec<String> {
+        rows.into_iter().map(|row| row.name).collect()
+    };
+    assert_eq!(names(numbered(vessel).unwrap()), ["mitosis-2", "mitosis-1"]);
+    let said = numbered(9999).unwrap_err();
+    assert!(
+        matches!(said, LibraryError::NoTargetNumbered { number: 9999 }),
+        "{said}"
+    );
     // By how surely they are come back to.
     let open = rusqlite::Connection::open(library.file()).unwrap();
     for (name, chance) in [("noyau", 0.95), ("vessel", 0.9), ("mitosis-2", 0.3)] {
@@ -206,4 +223,49 @@ fn targets_are_found_by_parts_of_words_of_name_note_and_slide() {
     assert_eq!(by(of(0.9, f64::INFINITY)), ["noyau", "vessel"]);
     assert_eq!(by(of(f64::NEG_INFINITY, 0.9)), ["mitosis-2"]);
     assert_eq!(by(Chance::Unknown), ["mitosis-1"]);
+}
+
+#[test]
+fn the_bin_is_read_page_by_page_whatever_has_one_name_comes_and_goes() {
+    let (_dir, library) = new();
+    for k in 0..7 {
+        let name = if k % 2 == 0 { "same" } else { "other" };
+        keep(&library, name, &label("17-B", &format!("the {k}th"))).unwrap();
+        library.remove_target(name).unwrap();
+    }
+    let page = |after_number, limit| {
+        library.find_targets(&TargetQuery {
+            binned: true,
+            after_number,
+            limit,
+            ..TargetQuery::default()
+        })
+    };
+    let all = page(None, 0).unwrap();
+    assert_eq!(all.len(), 7);
+    let mut paged = page(None, 2).unwrap();
+    // The last one that was read is taken out of the bin, the first one is deleted for good, and one more comes.
+    let last = paged.last().unwrap();
+    library.restore_target(&last.name, Some("back")).unwrap();
+    keep(&library, "new", &label("17-B", "")).unwrap();
+    library.remove_target("new").unwrap();
+    loop {
+        let more = page(paged.last().map(|row| row.number), 2).unwrap();
+        if more.is_empty() {
+            break;
+        }
+        paged.extend(more);
+    }
+    let notes = |rows: &[scopeservo_library::TargetRow]| -> Vec<String> {
+        rows.iter().map(|row| row.label.note.clone()).collect()
+    };
+    // All that was there is told once, in the same order.
+    assert_eq!(notes(&paged), notes(&all));
+    let gone = paged[3].number;
+    library.purge_targets(None).unwrap();
+    let said = page(Some(gone), 2).unwrap_err();
+    assert!(
+        matches!(said, LibraryError::NoTargetNumbered { number } if number == gone),
+        "{said}"
+    );
 }

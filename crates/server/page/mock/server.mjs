@@ -17,6 +17,7 @@ function found(w, asked) {
   const has = (t, word) => [t.name, t.slide ?? "", t.note ?? ""].some((text) => text.toLowerCase().includes(word));
   const words = (asked.get("text") ?? "").toLowerCase().split(/\s+/).filter(Boolean);
   let all = asked.get("bin") === "true" ? (w.bin ?? []) : w.targets;
+  if (asked.get("after_number")) all = all.slice(all.findIndex((t) => t.number === Number(asked.get("after_number"))) + 1);
   if (asked.get("after")) all = all.slice(all.findIndex((t) => t.name === asked.get("after")) + 1);
   all = all.filter((t) => words.every((word) => has(t, word)) && (!asked.get("slide") || t.slide === asked.get("slide")) && (!asked.get("quality") || t.quality?.word === asked.get("quality")));
   return all.slice(0, Number(asked.get("limit") ?? 500));
@@ -72,7 +73,13 @@ const ROUTES = [
   }],
   ["DELETE", /^targets\/([^/]+)$/, (w, name) => ((w.bin = [...w.targets.filter((t) => t.name === name).map((t) => ({ ...t, binned: new Date().toISOString() })), ...(w.bin ?? [])]), (w.targets = w.targets.filter((t) => t.name !== name)), w.revision++, {})],
   ["DELETE", /^bin\/([^/]+)$/, (w, name) => ((w.bin = (w.bin ?? []).filter((t) => t.name !== name)), w.revision++, {})],
-  ["GET", /^runs$/, (w) => w.runs],
+  ["GET", /^runs$/, (w, _, __, asked) => {
+    const before = asked.get("before");
+    if (before === w.loses) w.runs = w.runs.filter((run) => run.id !== before);
+    if (before && !w.runs.some((run) => run.id === before)) throw new Refusal(404, "no_run", `there is no run '${before}'`, "input");
+    const all = w.runs.filter((run) => !asked.get("target") || run.target === asked.get("target"));
+    return all.slice(before ? all.findIndex((run) => run.id === before) + 1 : 0).slice(0, Number(asked.get("limit") ?? 50));
+  }],
   ["GET", /^runs\/[^/]+\/report\.html$/, () => ({ kind: KINDS.html, bytes: Buffer.from("<!doctype html><title>report</title><p>made up") })],
   ["GET", /^users$/, () => [{ name: "anna", role: "admin" }, { name: "bob", role: "operator" }]],
   ["GET", /^tokens$/, () => []],

@@ -5,7 +5,7 @@ import { refresh } from "./heard.ts";
 import { releaseAll, type Way } from "./live/hold.ts";
 import { say } from "./socket.ts";
 import { get, type Model, set, use } from "./store.ts";
-import type { Instrument, Target } from "./types.ts";
+import type { Instrument } from "./types.ts";
 
 /** Everything stands still: by every way there is, and never asking. What is held is held no more. */
 export function stop(): void {
@@ -129,11 +129,6 @@ export async function edit(name: string, to: { name?: string; slide?: string | n
     if (to.name !== undefined && get().chosen === name) set({ chosen: to.name });
     await refresh();
   }
-}
-
-/** What lies in the bin. */
-export async function bin(): Promise<Target[]> {
-  return (await attempt<Target[]>("GET", "targets?bin=true")) ?? [];
 }
 
 export async function restore(name: string): Promise<void> {

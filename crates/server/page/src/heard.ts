@@ -3,7 +3,7 @@
 import { ask } from "./api.ts";
 import { follow } from "./run/trace.ts";
 import { get, set } from "./store.ts";
-import type { EventRecord, Instrument, Job, Run, State, Target, WholeJob } from "./types.ts";
+import type { EventRecord, Instrument, Job, State, Target, WholeJob } from "./types.ts";
 
 /** Jobs whose end is worth a look at their answer. */
 const TELLING = new Set(["reposition", "calibrate", "focus", "check", "doctor", "save_target", "objective", "home", "move", "centre", "jog", "resume"]);
@@ -45,9 +45,8 @@ export function onEvent(record: EventRecord): void {
 
 /** What is kept, and what the instrument is: asked again when a job has ended. */
 export async function refresh(): Promise<void> {
-  const [targets, runs, instrument] = await Promise.all([
+  const [targets, instrument] = await Promise.all([
     ask<Target[]>("GET", `targets?limit=${NEWEST}`).catch(() => get().targets),
-    ask<Run[]>("GET", "runs?limit=100").catch(() => get().runs),
     ask<Instrument>("GET", "instrument").catch(() => get().instrument),
   ]);
   const wanted = get().chosen;
@@ -57,5 +56,5 @@ export async function refresh(): Promise<void> {
   // Somebody may have chosen another meanwhile.
   const now = get().chosen;
   const is = now !== wanted ? {} : { chosen: found?.name ?? targets[0]?.name ?? null, chosenTarget: found };
-  set({ targets, runs, instrument, ...is });
+  set({ targets, instrument, ...is });
 }

@@ -1,7 +1,7 @@
 // What the page knows, in one place; parts are drawn anew when what they look at has changed.
 
 import { useEffect, useState } from "preact/hooks";
-import type { Failure, FrameHead, Instrument, Me, Question, Run, State, Target, WholeJob } from "./types.ts";
+import type { Failure, FrameHead, Instrument, Me, Question, State, Target, WholeJob } from "./types.ts";
 import { EMPTY, type Trace } from "./run/trace.ts";
 
 export type Page = "live" | "targets" | "runs" | "people";
@@ -29,7 +29,6 @@ export type Model = {
   chosen: string | null;
   /** What is known of it, where it is none of the newest. */
   chosenTarget: Target | null;
-  runs: Run[];
   trace: Trace;
   /** What came of the last job that was worth telling. */
   last: WholeJob | null;
@@ -53,7 +52,6 @@ let model: Model = {
   targets: [],
   chosen: null,
   chosenTarget: null,
-  runs: [],
   trace: EMPTY,
   last: null,
   refused: null,

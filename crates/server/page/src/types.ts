@@ -76,6 +76,8 @@ export type FrameHead = {
 };
 
 export type Target = {
+  /** What tells it from others, also of its name. */
+  number: number;
   name: string;
   saved: string;
   instrument?: string;

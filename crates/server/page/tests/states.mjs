@@ -14,8 +14,9 @@ const SIZES = { desk: { width: 1400, height: 900 }, phone: { width: 390, height:
 const AT_ONCE = 4;
 const LONG = { timeout: 15_000 };
 
+let number = 0;
 const target = (name, more = {}) => ({
-  name, saved: "2026-03-04T09:12:00Z", instrument: "bench 3", slide: "17B", note: "", objective: "40x", um_per_px: 0.25, width: 320, height: 240, features: 812,
+  number: ++number, name, saved: "2026-03-04T09:12:00Z", instrument: "bench 3", slide: "17B", note: "", objective: "40x", um_per_px: 0.25, width: 320, height: 240, features: 812,
   quality: { word: "good", text: "can be told from its surroundings: found in 24 of 24 with 10x of the views made of it", chance: 0.98 }, at: {},
   where: { x_um: 40 * name.length, y_um: 90, umPerPx: 0.25 }, ...more,
 });
@@ -353,6 +354,61 @@ test("a slide and a note are written down, and what lies in the bin is taken bac
   await bin.getByRole("button", { name: "Take back" }).click();
   await until(() => world.targets.length === 3, "it was not taken back");
   await bin.getByText("Nothing lies in it.").waitFor();
+});
+
+const MANY = 230;
+/** Shown by and by until all are there, each once; how many were shown at first. */
+async function byAndBy(within, rows, all) {
+  await until(async () => (await rows.count()) > 0, "nothing is shown");
+  const first = await rows.count();
+  const more = within.getByRole("button", { name: "Show more" });
+  await until(async () => {
+    if (await more.count()) await more.scrollIntoViewIfNeeded().catch(() => undefined);
+    return (await rows.count()) === all;
+  }, `not all of ${all} are shown`);
+  assert.equal(await more.count(), 0, "nothing more is offered when all are there");
+  const said = await rows.allTextContents();
+  assert.equal(new Set(said).size, all, "each is shown once");
+  return first;
+}
+
+const oneRun = (k) => ({ id: `${String(k).padStart(6, "0")}_reposition`, job: "reposition", began: new Date(Date.UTC(2026, 0, 1, 0, k)).toISOString(), user: "anna", slide: null, target: `t-${k}`, verdict: "arrived", message: `number ${k}`, seconds: 9, ended: true, report: false, arrival: false });
+const RUNS = () => Array.from({ length: MANY }, (_, k) => oneRun(MANY - k));
+
+test("all runs are there, the newest first, however many", { runs: RUNS() }, async ({ page, world, shoot }) => {
+  await button(page, "Runs").click();
+  const rows = page.locator(".runs article");
+  const first = await byAndBy(page, rows, MANY);
+  assert.ok(first < MANY, `${first} at first`);
+  assert.match(await rows.last().textContent(), /number 1(?!\d)/);
+  // One more is made, and one that is not the newest goes: as many as were shown stay, each once.
+  world.runs.unshift(oneRun(MANY + 1));
+  world.runs = world.runs.filter((one) => one.message !== "number 7");
+  world.revision++;
+  await until(async () => /number 231/.test(await rows.first().textContent()), "the newest is not shown");
+  await byAndBy(page, rows, MANY);
+  await shoot("runs");
+});
+
+test("the next runs come though the last one that was shown is gone", { runs: RUNS(), loses: RUNS()[99].id }, async ({ page }) => {
+  await button(page, "Runs").click();
+  await byAndBy(page, page.locator(".runs article"), MANY - 1);
+  assert.equal(await page.getByRole("alert").count(), 0);
+}, ["desk"]);
+
+const BINNED = () => Array.from({ length: MANY }, (_, k) => target(k % 3 ? `view-${k}` : "same", { note: String(k), binned: new Date(Date.UTC(2026, 5, 1, 0, MANY - k)).toISOString() }));
+
+test("all that lies in the bin is there, also what has one name", { targets: SOME(), bin: BINNED() }, async ({ page, world, shoot }) => {
+  await button(page, "Targets").click();
+  await button(page, "Bin").click();
+  const bin = page.getByRole("dialog", { name: "Bin" });
+  const first = await byAndBy(bin, bin.locator("li"), MANY);
+  assert.ok(first < MANY, `${first} at first`);
+  await shoot("bin-many");
+  // One is taken back: as many as were shown stay, without it.
+  await bin.locator("li", { hasText: "view-229" }).getByRole("button", { name: "Take back" }).click();
+  await until(() => world.targets.some((t) => t.name === "view-229"), "it was not taken back");
+  await byAndBy(bin, bin.locator("li"), MANY - 1);
 });
 
 test("several are taken out at once", { targets: SOME() }, async ({ page, world, shoot }) => {

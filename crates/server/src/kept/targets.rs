@@ -28,6 +28,7 @@ pub(crate) struct Edit {
 
 fn told(app: &App, row: &TargetRow) -> Value {
     let mut told = json!({
+        "number": row.number,
         "name": row.name,
         "saved": row.saved,
         "instrument": row.instrument,

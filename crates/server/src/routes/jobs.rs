@@ -39,11 +39,12 @@ async fn start(
     Extension(caller): Extension<Caller>,
     request: Request,
 ) -> Result<Response, ApiError> {
+    let stops = app.stops.load(Ordering::SeqCst);
     let asked: JobRequest = body(request).await?;
     let id = aside(&app, move |app| {
         app.desk.is_free()?;
         let wish = Wish::of(&app.bench, asked)?;
-        starting::start(app, &caller, wish)
+        starting::start(app, &caller, wish, stops)
     });
     let id = id.await?;
     Ok((StatusCode::ACCEPTED, Json(json!({"id": id}))).into_response())

@@ -77,6 +77,7 @@ struct Which {
     slide: Option<String>,
     limit: Option<usize>,
     after: Option<String>,
+    after_number: Option<i64>,
     #[serde(default)]
     bin: bool,
     quality: Option<kept::Quality>,
@@ -89,6 +90,7 @@ async fn targets(State(app): Shared, Wanted(which): Wanted<Which>) -> Answer {
             slide: which.slide.as_deref(),
             limit: which.limit.unwrap_or(TARGETS).clamp(1, TARGETS),
             after: which.after.as_deref(),
+            after_number: which.after_number,
             binned: which.bin,
             chance: which.quality.map(kept::Quality::chance),
         };
@@ -153,7 +155,7 @@ struct Page {
 async fn runs(State(app): Shared, Wanted(page): Wanted<Page>) -> Answer {
     let all = aside(&app, move |app| {
         let wanted = RunQuery {
-            limit: page.limit.unwrap_or(50).min(RUNS),
+            limit: page.limit.unwrap_or(50).clamp(1, RUNS),
             before: page.before.as_deref(),
             target: page.target.as_deref(),
         };

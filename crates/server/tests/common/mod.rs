@@ -40,9 +40,9 @@ pub(crate) const REAL: &str = "real_time = true";
 /// A minute passes in a second.
 pub(crate) const HURRIED: &str = "objectives = [\"10x\", \"40x\"]";
 
-fn opened(twin: &str, folder: &Path) -> (Workbench, Before) {
+fn opened(description: &str, folder: &Path) -> (Workbench, Before) {
     let path = folder.join("scopeservo.toml");
-    let config = Config::parse(&described(twin), &path).unwrap();
+    let config = Config::parse(description, &path).unwrap();
     let before = Before::default();
     let consent = Consent {
         home: false,
@@ -56,7 +56,7 @@ fn opened(twin: &str, folder: &Path) -> (Workbench, Before) {
 /// Why it is not served so.
 pub(crate) fn refused(settings: &Settings) -> ServeError {
     let folder = TempDir::new().unwrap();
-    let (bench, before) = opened(HURRIED, folder.path());
+    let (bench, before) = opened(&described(HURRIED), folder.path());
     match Server::start(bench, before, settings) {
         Ok(_) => panic!("served"),
         Err(error) => error,
@@ -85,7 +85,21 @@ impl Bench {
         folder: Arc<TempDir>,
         set: impl FnOnce(&mut Settings),
     ) -> Self {
-        let (bench, before) = opened(twin, folder.path());
+        Self::described(&described(twin), demo, folder, set)
+    }
+
+    /// Any instrument, of which nothing is known.
+    pub(crate) fn of(description: &str, demo: bool) -> Self {
+        Self::described(description, demo, Arc::new(TempDir::new().unwrap()), |_| {})
+    }
+
+    fn described(
+        description: &str,
+        demo: bool,
+        folder: Arc<TempDir>,
+        set: impl FnOnce(&mut Settings),
+    ) -> Self {
+        let (bench, before) = opened(description, folder.path());
         let listener = before.bus.listen();
         let mut settings = Settings {
             listen: "127.0.0.1:0".parse().unwrap(),

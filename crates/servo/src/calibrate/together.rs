@@ -9,7 +9,7 @@ use scopeservo_geometry::Mat2;
 use scopeservo_registration::{
     Correspondences, Prior, RotationPrior, ScalePrior, register_correspondences,
 };
-use scopeservo_scope::{Kinematics, ObjectiveId};
+use scopeservo_scope::{Kinematics, ObjectiveId, deg_in_words, um_in_words};
 use serde::{Deserialize, Serialize};
 
 /// Version of the serialised form.
@@ -156,13 +156,13 @@ impl std::fmt::Display for NotOne {
         match what {
             Differing::Backlash => write!(
                 f,
-                "{a} and {b} were calibrated with backlashes {:.2} um apart",
-                1e6 * by
+                "{a} and {b} were calibrated with backlashes {} apart",
+                um_in_words(1e6 * by, 2)
             )?,
             Differing::Angle => write!(
                 f,
-                "the camera is turned by {:.3} deg between {a} and {b}",
-                by.to_degrees()
+                "the camera is turned by {} between {a} and {b}",
+                deg_in_words(by.to_degrees(), 3)
             )?,
             Differing::Scale => write!(
                 f,
@@ -171,8 +171,8 @@ impl std::fmt::Display for NotOne {
             )?,
             Differing::Centre => write!(
                 f,
-                "the rotation centres of {a} and {b} are {:.1} um apart from where they should be",
-                1e6 * by
+                "the rotation centres of {a} and {b} are {} apart from where they should be",
+                um_in_words(1e6 * by, 1)
             )?,
         }
         write!(f, " ({:.0} standard deviations). ", by / sigma)?;

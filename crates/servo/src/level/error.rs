@@ -1,7 +1,7 @@
 //! Why a tilt was not told, or not levelled.
 
 use crate::words::way_in_words;
-use scopeservo_scope::{Axis, ObjectiveId};
+use scopeservo_scope::{Axis, ObjectiveId, um_in_words};
 use thiserror::Error;
 
 /// Why a tilt was not told, or not levelled. The stage is back where it began.
@@ -51,8 +51,10 @@ pub enum LevelError {
     },
     /// Levelling made nothing better.
     #[error(
-        "the view was not levelled: a corner lay {before_um:.2} um out of focus before and {after_um:.2} um after the last turn. The stage is back \
-         where it began. Look for play in its tilting axes and for a slide that does not lie flat"
+        "the view was not levelled: a corner lay {} out of focus before and {} after the last turn. The stage is back \
+         where it began. Look for play in its tilting axes and for a slide that does not lie flat",
+        um_in_words(*before_um, 2),
+        um_in_words(*after_um, 2)
     )]
     NotLevelled {
         /// Defocus of the worst corner before, um.

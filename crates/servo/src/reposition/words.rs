@@ -5,7 +5,7 @@ use super::{Left, Reason, Verdict};
 use crate::target::MIN_TARGET_FEATURES;
 use crate::words::rival_in_words;
 use crate::{Attempt, Contradiction, Known, LimitedBy, Remark, ServoEnd, ServoResult};
-use scopeservo_scope::ObjectiveId;
+use scopeservo_scope::{ObjectiveId, deg_in_words, um_in_words};
 
 /// The answer that the end of the last loop means, at the magnification `at`. `seen_below`: the target was seen at a lower one; `left`: what a
 /// stage has left that did not turn.
@@ -37,9 +37,9 @@ pub(super) fn answer_of(
         }
         ServoEnd::IterationLimit(result) | ServoEnd::HandedOver { last: result, .. } => {
             let message = format!(
-                "at {at}x the view was still {:.2} um off after {} iterations; raise the limit or lambda, or look for \
+                "at {at}x the view was still {} off after {} iterations; raise the limit or lambda, or look for \
                      vibration",
-                result.error.distance_um(),
+                um_in_words(result.error.distance_um(), 2),
                 result.iterations
             );
             (Verdict::Refused, Reason::IterationLimit, message)
@@ -54,8 +54,9 @@ pub(super) fn answer_of(
         }
         ServoEnd::NothingMoves { moved_um } => {
             let message = format!(
-                "at {at}x the stage moved by {moved_um:.1} um, and nothing in the image moved with it: the stage is stuck, or all that \
-                     agrees with the saved view is on the camera (dust, a reticle, burnt-in text)"
+                "at {at}x the stage moved by {}, and nothing in the image moved with it: the stage is stuck, or all that \
+                     agrees with the saved view is on the camera (dust, a reticle, burnt-in text)",
+                um_in_words(*moved_um, 1)
             );
             (Verdict::Refused, Reason::NothingMoves, message)
         }
@@ -68,8 +69,9 @@ pub(super) fn answer_of(
         }
         ServoEnd::Drifting { um_per_s, .. } => {
             let message = format!(
-                "the view drifts by {um_per_s:.2} um per second while the stage stands: wait until it rests, and look for what slips or \
-                     warms up, then try again"
+                "the view drifts by {} per second while the stage stands: wait until it rests, and look for what slips or \
+                     warms up, then try again",
+                um_in_words(*um_per_s, 2)
             );
             (Verdict::Refused, Reason::Drifting, message)
         }
@@ -90,7 +92,8 @@ pub(super) fn answer_of(
 
 /// The place is back; the angle may be left.
 fn converged(result: &ServoResult, left: Option<&Left>) -> (Verdict, Reason, String) {
-    let (off_um, off_deg) = (result.error.distance_um(), result.error.angle_deg().abs());
+    let off = um_in_words(result.error.distance_um(), 2);
+    let off_deg = result.error.angle_deg().abs();
     let limit = match result.limited_by {
         Some(LimitedBy::Repeatability) => ", as near as this stage comes back to a place",
         Some(LimitedBy::Measurement) => ", as near as this little texture tells",
@@ -98,20 +101,22 @@ fn converged(result: &ServoResult, left: Option<&Left>) -> (Verdict, Reason, Str
     };
     let Some(left) = left else {
         let message = format!(
-            "the saved view is back, {off_um:.2} um and {off_deg:.4} deg off by its own measurement{limit}"
+            "the saved view is back, {off} and {} off by its own measurement{limit}",
+            deg_in_words(off_deg, 4)
         );
         return (Verdict::Arrived, Reason::Converged, message);
     };
     let percent = 100.0 * left.in_view;
+    let angle = deg_in_words(off_deg, 2);
     if left.is_too_much {
         let message = format!(
-            "the place is back, {off_um:.2} um off, but {off_deg:.2} deg are left, and this stage does not turn: {percent:.0} % of the \
+            "the place is back, {off} off, but {angle} are left, and this stage does not turn: {percent:.0} % of the \
              saved view is in view. Turn the specimen back by hand and try again"
         );
         return (Verdict::Refused, Reason::CannotTurn, message);
     }
     let message = format!(
-        "the place of the saved view is back, {off_um:.2} um off by its own measurement{limit}; {off_deg:.2} deg are left, which this stage \
+        "the place of the saved view is back, {off} off by its own measurement{limit}; {angle} are left, which this stage \
          does not turn: {percent:.0} % of the saved view is in view"
     );
     (Verdict::Arrived, Reason::Converged, message)
@@ -167,8 +172,9 @@ fn remark(remark: &Remark) -> String {
             defocus_um,
             sharpness,
         } => format!(
-            "With {objective} the view is less sharp than the saved one, by as much as {defocus_um:.1} um of defocus make ({:.0} % of its fine \
+            "With {objective} the view is less sharp than the saved one, by as much as {} of defocus make ({:.0} % of its fine \
              detail). Focus by hand, and look for dirt or oil on the slide and the objective, and for vibration",
+            um_in_words(*defocus_um, 1),
             100.0 * sharpness
         ),
         Remark::Tried { objective, attempt } => tried(objective, attempt),
@@ -198,11 +204,13 @@ fn tried(objective: &ObjectiveId, attempt: &Attempt) -> String {
              {half_range_um:.0} um"
         ),
         Attempt::DriftWaitedFor { um_per_s } => format!(
-            "The view drifted by {um_per_s:.2} um per second with {objective}, and the run waited for it to rest"
+            "The view drifted by {} per second with {objective}, and the run waited for it to rest",
+            um_in_words(*um_per_s, 2)
         ),
         Attempt::FocusedAgain { defocus_um } => format!(
-            "With {objective} the view was less sharp than the saved one, by as much as {defocus_um:.1} um of defocus make, and the run looked for \
-             another height"
+            "With {objective} the view was less sharp than the saved one, by as much as {} of defocus make, and the run looked for \
+             another height",
+            um_in_words(*defocus_um, 1)
         ),
         Attempt::OtherSide => format!(
             "Moves with {objective} came no nearer, and from then on each axis went to its goal from below, which takes up its play. `calibrate` \
@@ -266,4 +274,80 @@ pub(super) fn blank_target(features: usize) -> String {
         "the target has {features} features and at least {MIN_TARGET_FEATURES} are needed to recognise it: \
          save a view with more tissue in focus"
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::PoseError;
+
+    fn ended(um: f64, deg: f64) -> ServoResult {
+        ServoResult {
+            iterations: 3,
+            inliers: 100,
+            error: PoseError {
+                t_m: [um * 1e-6, 0.0],
+                theta_rad: deg.to_radians(),
+            },
+            sigma_um: 0.001,
+            sigma_deg: 0.000_01,
+            limited_by: None,
+            angle_is_left: false,
+        }
+    }
+
+    #[test]
+    fn what_is_left_is_never_told_as_nothing() {
+        let said = |end: &ServoEnd, left: Option<&Left>| answer_of(end, 400.0, true, left).2;
+        for (um, deg, words) in [
+            (
+                0.264,
+                0.000_3,
+                "the saved view is back, 0.26 um and 0.0003 deg off by its own measurement",
+            ),
+            (
+                0.004,
+                -0.000_3,
+                "the saved view is back, less than 0.01 um and 0.0003 deg off by its own measurement",
+            ),
+            (
+                0.0,
+                0.000_01,
+                "the saved view is back, less than 0.01 um and less than 0.0001 deg off by its own measurement",
+            ),
+        ] {
+            let end = ServoEnd::Converged(ended(um, deg));
+            assert_eq!(said(&end, None), words);
+        }
+        let left = Left {
+            angle_deg: 0.002,
+            in_view: 0.9,
+            is_too_much: false,
+        };
+        assert_eq!(
+            said(&ServoEnd::Converged(ended(0.001, 0.002)), Some(&left)),
+            "the place of the saved view is back, less than 0.01 um off by its own measurement; less than 0.01 deg are left, which this stage \
+             does not turn: 90 % of the saved view is in view"
+        );
+        let still = said(&ServoEnd::IterationLimit(ended(0.002, 1.0)), None);
+        assert!(
+            still
+                .starts_with("at 400x the view was still less than 0.01 um off after 3 iterations"),
+            "{still}"
+        );
+        let outside = ServoEnd::OutsideTolerance {
+            last: ended(0.001, 0.0),
+            asked_um: Some(0.0005),
+            asked_deg: None,
+            stage_um: 0.004,
+            stage_deg: 0.000_02,
+        };
+        let outside = said(&outside, None);
+        assert!(
+            outside.contains("the place is back, less than 0.01 um and less than 0.0001 deg off")
+                && outside
+                    .contains("comes back to within less than 0.01 um and less than 0.0001 deg"),
+            "{outside}"
+        );
+    }
 }

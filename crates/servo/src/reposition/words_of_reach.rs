@@ -1,7 +1,7 @@
 //! What a stage cannot do, in words: what is missing, and what to do at the specimen.
 
 use crate::{Beyond, LimitedBy, Missing, ServoEnd};
-use scopeservo_scope::Axis;
+use scopeservo_scope::{Axis, deg_in_words, um_in_words};
 
 /// What is missing to bring a view back.
 pub(super) fn cannot_reach(missing: &Missing) -> String {
@@ -69,7 +69,7 @@ fn past(b: &Beyond) -> String {
     format!(
         "{by} more of {} than its end at {}",
         b.axis,
-        way(b.axis, end)
+        place(b.axis, end)
     )
 }
 
@@ -98,7 +98,17 @@ fn upper(text: &str) -> String {
     first.chain(letters).collect()
 }
 
+/// How far something goes, or is missing.
 fn way(axis: Axis, si: f64) -> String {
+    match axis.is_rotation() {
+        true => deg_in_words(si.to_degrees(), 1),
+        false if si.abs() < 1e-5 => um_in_words(si * 1e6, 1),
+        false => place(axis, si),
+    }
+}
+
+/// Where an axis stands.
+fn place(axis: Axis, si: f64) -> String {
     match (axis.is_rotation(), si.abs() * 1e6) {
         (true, _) => format!("{:.1} deg", si.to_degrees()),
         (false, um) if um >= 1000.0 => format!("{:.1} mm", si * 1e3),
@@ -134,12 +144,14 @@ pub(super) fn outside_tolerance(end: &ServoEnd) -> String {
         .collect();
     let why = match last.limited_by {
         Some(LimitedBy::Measurement) => format!(
-            "these images tell no better than to {:.2} um and {:.4} deg (two standard deviations): ask for less, or save a view with more texture",
-            2.0 * last.sigma_um,
-            2.0 * last.sigma_deg
+            "these images tell no better than to {} and {} (two standard deviations): ask for less, or save a view with more texture",
+            um_in_words(2.0 * last.sigma_um, 2),
+            deg_in_words(2.0 * last.sigma_deg, 4)
         ),
         _ => format!(
-            "this stage comes back to within {stage_um:.2} um and {stage_deg:.4} deg (two standard deviations): {}look for play and vibration",
+            "this stage comes back to within {} and {} (two standard deviations): {}look for play and vibration",
+            um_in_words(*stage_um, 2),
+            deg_in_words(*stage_deg, 4),
             if asked.is_empty() {
                 ""
             } else {
@@ -152,9 +164,9 @@ pub(super) fn outside_tolerance(end: &ServoEnd) -> String {
         false => format!("{} was asked for, which did not come", asked.join(" and ")),
     };
     format!(
-        "the place is back, {:.2} um and {:.4} deg off, and {wanted} in {} iterations: {why}",
-        last.error.distance_um(),
-        last.error.angle_deg().abs(),
+        "the place is back, {} and {} off, and {wanted} in {} iterations: {why}",
+        um_in_words(last.error.distance_um(), 2),
+        deg_in_words(last.error.angle_deg().abs(), 4),
         last.iterations
     )
 }

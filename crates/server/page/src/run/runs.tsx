@@ -2,23 +2,25 @@
 
 import { address } from "../api.ts";
 import { duration, moment, spaced, withUnits } from "../format.ts";
-import { use } from "../store.ts";
+import { More } from "../parts/more.tsx";
+import { useRuns } from "../targets/list.ts";
 import type { Run } from "../types.ts";
 import { words } from "../words.ts";
 
 export function Runs() {
-  const runs = use((m) => m.runs);
+  const { rows, more, next } = useRuns();
   return (
-    <main class="sheet">
+    <main class="sheet" tabIndex={0}>
       <h1>Runs</h1>
-      {runs.length === 0 && <p class="soft">{words.noRuns}</p>}
+      {rows?.length === 0 && <p class="soft">{words.noRuns}</p>}
       <ul class="runs">
-        {runs.map((run) => (
+        {rows?.map((run) => (
           <li key={run.id}>
             <Row run={run} />
           </li>
         ))}
       </ul>
+      {more && <More shown={rows?.length ?? 0} onMore={next} />}
     </main>
   );
 }

@@ -1,31 +1,30 @@
 // What was taken out, and may be taken back.
 
-import { useEffect, useState } from "preact/hooks";
-import { bin, purge, restore } from "../act.ts";
+import { useState } from "preact/hooks";
+import { purge, restore } from "../act.ts";
 import { moment } from "../format.ts";
 import { use } from "../store.ts";
-import type { Target } from "../types.ts";
 import { Dialog } from "../parts/dialog.tsx";
+import { More } from "../parts/more.tsx";
+import { useBin } from "./list.ts";
 import { words } from "../words.ts";
 
 export function Bin({ onClose }: { onClose: () => void }) {
   const admin = use((m) => m.me?.role === "admin");
-  const [all, setAll] = useState<Target[] | null>(null);
+  const { rows, more, next } = useBin();
   const [sure, setSure] = useState<string | null>(null);
-  const look = () => void bin().then(setAll);
-  useEffect(look, []);
   return (
     <Dialog title="Bin" onClose={onClose}>
-      {all?.length === 0 && <p class="soft">Nothing lies in it.</p>}
+      {rows?.length === 0 && <p class="soft">Nothing lies in it.</p>}
       <ul class="plain">
-        {all?.map((target) => (
-          <li key={`${target.name} ${target.binned}`} class="row">
+        {rows?.map((target) => (
+          <li key={target.number} class="row">
             <span>{target.name}</span>
             <span class="soft">
               {[target.slide && `slide ${target.slide}`, `saved ${moment(target.saved)}`, target.binned && `taken out ${moment(target.binned)}`].filter(Boolean).join(" · ")}
             </span>
             <span class="grow" />
-            <button type="button" onClick={() => void restore(target.name).then(look)}>
+            <button type="button" onClick={() => void restore(target.name)}>
               Take back
             </button>
             {admin &&
@@ -35,7 +34,7 @@ export function Bin({ onClose }: { onClose: () => void }) {
                   class="danger"
                   onClick={() => {
                     setSure(null);
-                    void purge(target.name).then(look);
+                    void purge(target.name);
                   }}
                 >
                   Yes, delete it for good
@@ -48,6 +47,7 @@ export function Bin({ onClose }: { onClose: () => void }) {
           </li>
         ))}
       </ul>
+      {more && <More shown={rows?.length ?? 0} onMore={next} />}
       {sure && <p class="bad">{words.purge}</p>}
       <div class="row end">
         <button type="button" class="primary" autofocus onClick={onClose}>

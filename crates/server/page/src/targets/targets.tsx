@@ -1,6 +1,6 @@
 // Saved views as a contact sheet.
 
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import { address, ask } from "../api.ts";
 import { edit, goBack, remove, removeAll, useMayStart } from "../act.ts";
 import { length, moment } from "../format.ts";
@@ -8,8 +8,9 @@ import { scaleBar } from "../geometry.ts";
 import { set, use } from "../store.ts";
 import type { Target } from "../types.ts";
 import { Dialog } from "../parts/dialog.tsx";
+import { More } from "../parts/more.tsx";
 import { Bin } from "./bin.tsx";
-import { useList } from "./list.ts";
+import { useTargets } from "./list.ts";
 import { Visits } from "./visits.tsx";
 import { words } from "../words.ts";
 
@@ -28,7 +29,7 @@ export function Targets() {
   }, [revision]);
   const [open, setOpen] = useState<string | null>(null);
   const [bin, setBin] = useState(false);
-  const list = useList({ text, slide, quality });
+  const list = useTargets({ text, slide, quality });
   const shown = list.rows ?? [];
   const one = shown.find((t) => t.name === open);
   const may = use((m) => m.me !== null && m.me !== undefined && m.me.role !== "viewer");
@@ -92,28 +93,6 @@ export function Targets() {
       {one && <Open target={one} onClose={() => setOpen(null)} />}
       {bin && <Bin onClose={() => setBin(false)} />}
     </main>
-  );
-}
-
-/** The next ones come when one asks for them, or has looked so far. */
-function More({ shown, onMore }: { shown: number; onMore: () => void }) {
-  const button = useRef<HTMLButtonElement>(null);
-  const more = useRef(onMore);
-  more.current = onMore;
-  useEffect(() => {
-    if (!button.current) return;
-    const seen = new IntersectionObserver((all) => all.some((one) => one.isIntersecting) && more.current());
-    seen.observe(button.current);
-    return () => seen.disconnect();
-    // Anew for each page: what stays in sight is no change of sight.
-  }, [shown]);
-  return (
-    <p class="more">
-      <button type="button" ref={button} onClick={onMore}>
-        Show more
-      </button>{" "}
-      <span class="soft">{shown} are shown</span>
-    </p>
   );
 }
 

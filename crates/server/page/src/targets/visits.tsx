@@ -1,38 +1,31 @@
 // Whenever somebody came back to a saved view, and what it looked like then: any two beside each other.
 
-import { useEffect, useState } from "preact/hooks";
-import { address, ask } from "../api.ts";
+import { useState } from "preact/hooks";
+import { address } from "../api.ts";
 import { moment } from "../format.ts";
-import { use } from "../store.ts";
 import type { Run, Target } from "../types.ts";
+import { More } from "../parts/more.tsx";
 import { Slider } from "../run/compare.tsx";
 import { Row } from "../run/runs.tsx";
+import { useRuns } from "./list.ts";
 import { words } from "../words.ts";
 
-/** So many are told, and can be compared. */
-const VISITS = 100;
-const LISTED = 20;
 /** The saved view itself, where a run could be named. */
 const SAVED = "";
 
 export function Visits({ target }: { target: Target }) {
-  const revision = use((m) => m.state?.revision ?? 0);
-  const [all, setAll] = useState<Run[] | null>(null);
-  useEffect(() => {
-    void ask<Run[]>("GET", `runs?limit=${VISITS}&target=${encodeURIComponent(target.name)}`).then(
-      (runs) => setAll(runs.filter((run) => run.job === "reposition")),
-      () => setAll([]),
-    );
-  }, [target.name, revision]);
+  const { rows, more, next } = useRuns(target.name);
+  const all = rows?.filter((run) => run.job === "reposition");
   const seen = (all ?? []).filter((run) => run.arrival);
   return (
     <>
       <h3>Visits</h3>
-      {all?.length === 0 && <p class="soft">Nobody came back to it yet.</p>}
+      {all?.length === 0 && !more && <p class="soft">Nobody came back to it yet.</p>}
       {seen.length > 0 && <Beside target={target} seen={seen} />}
-      {(all ?? []).slice(0, LISTED).map((run) => (
+      {all?.map((run) => (
         <Row key={run.id} run={run} />
       ))}
+      {more && <More shown={all?.length ?? 0} onMore={next} />}
     </>
   );
 }
