@@ -2,6 +2,11 @@
 
 export const words = {
   save: "Save this view",
+  agree: {
+    features: "matches agree",
+    arrangement: "features agree, by how they lie",
+    correlation: "pieces of the picture agree, as features said nothing",
+  },
   back: "Go back",
   stop: "Stop",
   simulated: "simulated",

@@ -122,6 +122,8 @@ test("a run is what its events told, and another job begins another", () => {
   trace = follow(trace, record(3, iteration));
   near(trace.steps[0].errorUm, 5);
   near(trace.steps[0].errorDeg, 1);
+  assert.equal(trace.steps[0].by, "features", "a log of before does not tell");
+  assert.equal(follow(trace, record(3, { ...iteration, by: "correlation" })).steps.at(-1)?.by, "correlation");
   assert.deepEqual(trace.objectives, ["10x", "40x"]);
   trace = follow(trace, record(3, { event: "lost" }));
   assert.equal(trace.lost, 1);

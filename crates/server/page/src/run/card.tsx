@@ -48,7 +48,7 @@ function UnderWay({ job }: { job: Job }) {
           {length(step.errorUm)} away, {fixed(step.errorDeg, 2)}° turned
           <span class="soft">
             {" "}
-            {step.inliers} of {step.matches} matches agree
+            {step.inliers} of {step.matches} {words.agree[step.by]}
           </span>
         </p>
       )}

@@ -2,6 +2,8 @@
 
 import type { Affine, EventRecord, Place } from "../types.ts";
 
+export type LocatedBy = "features" | "arrangement" | "correlation";
+
 export type Step = {
   objective: string;
   iteration: number;
@@ -10,6 +12,8 @@ export type Step = {
   errorDeg: number;
   sigmaPx: number;
   targetFromView: Affine;
+  /** By what it was located; older logs do not tell, and those were by features. */
+  by: LocatedBy;
   inliers: number;
   matches: number;
   pairs: [number, number, number, number][];
@@ -110,6 +114,7 @@ function step(record: EventRecord): Step {
     errorDeg: (error.theta_rad * 180) / Math.PI,
     sigmaPx: record.sigma_px as number,
     targetFromView: record.target_from_view as Affine,
+    by: (record.by as LocatedBy | undefined) ?? "features",
     inliers: record.inliers as number,
     matches: record.matches as number,
     pairs: record.pairs as Step["pairs"],
