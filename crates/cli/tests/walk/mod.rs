@@ -7,6 +7,7 @@ use base64::engine::general_purpose::STANDARD;
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
 use image::{ExtendedColorType, Rgb, RgbImage};
+use scopeservo_scope::{deg_in_words, um_in_words};
 use std::fs;
 use std::path::Path;
 
@@ -110,7 +111,9 @@ fn words(line: &str) -> String {
 fn pieces(line: &str) -> Vec<Result<String, f64>> {
     let mut all: Vec<Result<String, f64>> = Vec::new();
     let is_number = |c: char| c.is_ascii_digit() || c == '.';
-    let mut rest = line;
+    // Whether an amount rounds to nothing is chance, too.
+    let line = line.replace("less than ", "");
+    let mut rest = &*line;
     while !rest.is_empty() {
         let begins = rest
             .find(|c: char| c.is_ascii_digit())
@@ -158,12 +161,12 @@ fn figures(reader: &Reader) -> String {
             .unwrap();
     assert_eq!(result["verdict"], "arrived");
     format!(
-        "*Saved at 40x; the slide put back {:.0} um beside and turned by {:.0} degrees, as 10x sees it; 20x on the way; 40x at the end, {:.2} um and {:.4} \
-         degrees off. The frame is the saved view as it was recognised.*",
+        "*Saved at 40x; the slide put back {:.0} um beside and turned by {:.0} degrees, as 10x sees it; 20x on the way; 40x at the end, {} and {} off. \
+         The frame is the saved view as it was recognised.*",
         f64::hypot(shift[0], shift[1]),
         value("turned_deg = ")[0],
-        result["estimated_error_um"].as_f64().unwrap(),
-        result["estimated_error_deg"].as_f64().unwrap().abs(),
+        um_in_words(result["estimated_error_um"].as_f64().unwrap(), 2),
+        deg_in_words(result["estimated_error_deg"].as_f64().unwrap().abs(), 4),
     )
 }
 
