@@ -16,7 +16,7 @@ mod search;
 use crate::corners::centre;
 use crate::{
     Correspondences, NotFound, Options, Prior, Registration, Rival, RotationPrior, ScalePrior,
-    register_correspondences,
+    periods, register_correspondences, shifted,
 };
 use matched::Matched;
 use plane::Plane;
@@ -212,6 +212,14 @@ impl Run<'_> {
         if rivals.is_empty() && second >= AS_HIGH[0].max(AS_HIGH[1] * peak.height) {
             let as_high = elsewhere.iter().filter(|p| p.1 == second);
             rivals.extend(as_high.filter_map(|(t, _)| self.rival(&best, t, 0)));
+        }
+        // Of a fine lattice all peaks are low, and blocks far from their place find another site each: its own periods tell.
+        if let (true, Some(found)) = (rivals.is_empty(), best.registration.found()) {
+            let all = shifted(found, &periods(self.target.image)).into_iter();
+            rivals.extend(all.map(|rival| Rival {
+                significant: true,
+                ..rival
+            }));
         }
         Ok(self.told(best, rivals, [peak.height, second]))
     }
