@@ -33,6 +33,7 @@ mod kinematics;
 mod law;
 mod level;
 mod localize;
+mod located_by;
 mod one_side;
 mod pixels_seen;
 mod pose;
@@ -75,9 +76,8 @@ pub use level::{
     BlockHeight, Level, LevelError, LevelOptions, LevelReport, Levelled, MeasureTilt, StageTilt,
     Tilt, TiltReport,
 };
-pub use localize::{
-    CorrelationLocalizer, Expected, FeatureLocalizer, Localizer, LocatedBy, Measurement,
-};
+pub use localize::{CorrelationLocalizer, Expected, FeatureLocalizer, Localizer, Measurement};
+pub use located_by::LocatedBy;
 pub use pixels_seen::PixelsSeen;
 pub use pose::{PoseError, PoseEstimate, pose_error, pose_estimate};
 pub use procedure::{Procedure, Progress, run};

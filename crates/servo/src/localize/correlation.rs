@@ -3,8 +3,8 @@
 //! What the blocks of a correlation agree on are correspondences as those of features are, at places of the target that are the same from frame to
 //! frame: the proof by motion asks of them what it asks of features. What else looks like the target is told as a rival.
 
-use super::{Expected, FeatureLocalizer, Localizer, LocatedBy, Measurement, says_nothing};
-use crate::{FixedPlaces, ServoError, Target, VisionOptions};
+use super::{Expected, FeatureLocalizer, Localizer, Measurement, says_nothing};
+use crate::{FixedPlaces, LocatedBy, ServoError, Target, VisionOptions};
 use scopeservo_features::{GrayImage, Mask};
 use scopeservo_geometry::Vec2;
 use scopeservo_registration::correlation::{Picture, correlate};

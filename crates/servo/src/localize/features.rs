@@ -1,8 +1,8 @@
 //! Features of view and target, matched and fitted: the paper's way. Where what they look like says nothing, how they lie may.
 
-use super::{Expected, Localizer, LocatedBy, Measurement, says_nothing};
+use super::{Expected, Localizer, Measurement, says_nothing};
 use crate::target::{MIN_MOVED_FEATURES, MIN_TARGET_FEATURES};
-use crate::{ServoError, Target, VisionOptions};
+use crate::{LocatedBy, ServoError, Target, VisionOptions};
 use scopeservo_features::{Features, GrayImage};
 use scopeservo_registration::constellation::constellation;
 use scopeservo_registration::{

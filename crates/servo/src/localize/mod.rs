@@ -4,10 +4,9 @@ mod chosen;
 mod correlation;
 mod features;
 
-use crate::{FixedPlaces, ServoError, Target};
+use crate::{FixedPlaces, LocatedBy, ServoError, Target};
 use scopeservo_features::{Features, GrayImage};
 use scopeservo_registration::{Correspondences, Estimate, NotFound, Prior, Registration, Rival};
-use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::fmt::Debug;
 
@@ -22,19 +21,6 @@ pub struct Expected<'a> {
     pub prior: Prior,
     /// What does not belong to the specimen, in the pixels of the camera.
     pub fixed: &'a FixedPlaces,
-}
-
-/// By what a target was located.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum LocatedBy {
-    /// What features look like.
-    #[default]
-    Features,
-    /// How a few of them lie to each other.
-    Arrangement,
-    /// Correlation of blocks of pixels.
-    Correlation,
 }
 
 /// A target that was located in a view.
