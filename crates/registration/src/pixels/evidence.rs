@@ -126,7 +126,7 @@ pub fn weigh(pictures: &Pictures<'_>, target_from_view: &Affine2, fitted: &[Vec2
 fn is_covered(asked: &[(Witness, f64)]) -> bool {
     let agree: Vec<&Witness> = asked.iter().map(|a| &a.0).filter(|w| w.agrees).collect();
     let share = agree.len() as f64 / asked.len().max(1) as f64;
-    if share >= SEEN || share < SEEN_IN_ONE_PLACE {
+    if !(SEEN_IN_ONE_PLACE..SEEN).contains(&share) {
         return share >= SEEN;
     }
     let beside = |of: &Witness| {
