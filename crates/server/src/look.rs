@@ -136,7 +136,7 @@ pub(crate) fn after(app: &App, has_ended: impl FnOnce()) {
     let before = app.standing.borrow().clone();
     let now = look(app, &before, true);
     app.standing.send_modify(|newest| {
-        let number = now.number.max(newest.number + 1);
+        let number = newest.number + 1;
         *newest = Arc::new(Standing { number, ..now });
     });
     has_ended();

@@ -1,7 +1,7 @@
 //! Runs to a view that is not there: another slide lies under the objective, or the other section of a series, or a field beside, or blank glass, or the
 //! slide lies upside down. None may arrive.
 
-use crate::faults::Many;
+use crate::many::{EACH, Many};
 use crate::scene::{Bench, Known, draw, of};
 use crate::whole::{Start, Watch, apart, begin, word};
 use scopeservo_geometry::SplitMix64;
@@ -39,9 +39,6 @@ const SERIES_UM: [f64; 2] = [0.5, 1.0];
 /// So far from the middle of the lowest view no part of the saved one is in it, um; nor much farther.
 const BESIDE_UM: [f64; 2] = [850.0, 1300.0];
 
-/// Runs of one kind have numbers from this times the kind's on.
-const EACH: u64 = 100_000;
-
 /// What one run came to.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Record {
@@ -76,9 +73,7 @@ pub(crate) fn study(many: &Many<'_>, named: &str, known: &[Known]) -> Outcome<us
     let asked = EACH_SHOWN.iter().enumerate().filter(|(_, (shown, name))| {
         name.contains(named) && (has_slides || *shown != Shown::Serial)
     });
-    let numbers: Vec<u64> = asked
-        .flat_map(|(k, _)| (0..many.count).map(move |n| k as u64 * EACH + n))
-        .collect();
+    let numbers = many.numbers(asked.map(|(k, _)| k));
     let path = many.out.join("elsewhere.jsonl");
     let records = rounds(
         &path,

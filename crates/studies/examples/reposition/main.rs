@@ -14,6 +14,7 @@
 mod disturbance;
 mod elsewhere;
 mod faults;
+mod many;
 mod montecarlo;
 mod scene;
 mod table;
@@ -90,7 +91,7 @@ fn main() -> Outcome<()> {
     fs::create_dir_all(&args.out)?;
     let known = scene::calibrations(&args.out)?;
     if let Some(study) = &args.study {
-        let many = faults::Many {
+        let many = many::Many {
             count: args.count,
             only: args.only,
             threads: threads(args.threads)?,

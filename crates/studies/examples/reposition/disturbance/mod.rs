@@ -4,7 +4,7 @@ mod camera;
 mod kinds;
 mod table;
 
-use crate::faults::Many;
+use crate::many::{EACH, Many};
 use crate::scene::{Bench, Known, Scene, draw, of};
 use crate::whole::{Start, Watch, apart, begin, word};
 use camera::Disturbed;
@@ -96,9 +96,6 @@ fn cases(pairs: bool) -> Vec<Case> {
     cases
 }
 
-/// Runs of one case have numbers from this times the case's on.
-const EACH: u64 = 100_000;
-
 /// Makes the runs, their tables and their page; returns how many answers were wrong.
 pub(crate) fn study(
     many: &Many<'_>,
@@ -117,9 +114,7 @@ pub(crate) fn study(
         .enumerate()
         .filter(|(_, c)| c.covers || !covering)
         .filter(|(_, c)| c.name().contains(named));
-    let numbers: Vec<u64> = asked
-        .flat_map(|(k, _)| (0..many.count).map(move |n| k as u64 * EACH + n))
-        .collect();
+    let numbers = many.numbers(asked.map(|(k, _)| k));
     let name = if pairs {
         "disturbance-pairs"
     } else {

@@ -6,12 +6,12 @@ mod page;
 mod random;
 mod run;
 
+use crate::many::{EACH, Many};
 use crate::scene::Known;
 use clap::ValueEnum;
 use run::Record;
 use scopeservo_studies::rounds::{Outcome, rounds};
 use std::fs;
-use std::path::Path;
 
 /// When something breaks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -23,17 +23,6 @@ pub(crate) enum When {
     /// The same in the last eighth of it, where a run makes sure.
     Late,
 }
-
-/// How many runs, and where they are kept.
-pub(crate) struct Many<'a> {
-    pub(crate) count: u64,
-    pub(crate) only: Option<u64>,
-    pub(crate) threads: usize,
-    pub(crate) out: &'a Path,
-}
-
-/// Runs of one kind have numbers from this times the kind's on.
-const EACH: u64 = 100_000;
 
 /// Makes the runs, their table and their page; returns how many ended as none may.
 pub(crate) fn study(
@@ -57,9 +46,7 @@ pub(crate) fn study(
         .iter()
         .enumerate()
         .filter(|(_, k)| k.name.contains(named));
-    let numbers: Vec<u64> = asked
-        .flat_map(|(k, _)| (0..many.count).map(move |n| k as u64 * EACH + n))
-        .collect();
+    let numbers = many.numbers(asked.map(|(k, _)| k));
     let path = many.out.join("faults.jsonl");
     let records = rounds(
         &path,

@@ -3,8 +3,8 @@
 //! Each scene is run whole once, which tells how long it takes; then, for each kind, again with the fault at a moment drawn evenly over that time. The clock
 //! breaks it, so that no step of the run protects from it.
 
-use super::Many;
 use super::any_time::{KINDS, Kind};
+use crate::many::{EACH, Many};
 use crate::scene::{Bench, Known, draw, of};
 use crate::whole::{apart, begin, word};
 use scopeservo_geometry::SplitMix64;
@@ -169,7 +169,7 @@ fn run(
     known: &[Known],
     trace: bool,
 ) -> Outcome<Record> {
-    let scene = draw(index % super::EACH);
+    let scene = draw(index % EACH);
     let (_, slide) = scene.specimen()?;
     let clock = Arc::new(Breaking::default());
     let bench = Bench::timed_by((scene.kind, scene.seed), scene.noise, slide, clock.clone())?;
@@ -250,9 +250,9 @@ pub(super) fn study(
     let whole = |k: u64| run((&KINDS[0], k, 2.0), 1e3, known, false);
     let even = |k: u64| SplitMix64::new(0x0AB0 ^ k.wrapping_mul(0x9E37_79B9_7F4A_7C15)).uniform();
     let moment = |k: u64| 1.0 - last * even(k);
-    let kind = |k: u64| &KINDS[(k / super::EACH) as usize];
+    let kind = |k: u64| &KINDS[(k / EACH) as usize];
     if let Some(k) = many.only {
-        let whole_s = whole(k % super::EACH)?.seconds;
+        let whole_s = whole(k % EACH)?.seconds;
         let record = run((kind(k), k, moment(k)), whole_s, known, true)?;
         println!("{}", serde_json::to_string_pretty(&record)?);
         return Ok(0);
@@ -266,10 +266,10 @@ pub(super) fn study(
     let asked = (1..KINDS.len()).filter(|k| KINDS[*k].name.contains(named));
     let scenes: Vec<u64> = lengths.keys().copied().collect();
     let numbers: Vec<u64> = asked
-        .flat_map(|k| scenes.iter().map(move |n| k as u64 * super::EACH + n))
+        .flat_map(|k| scenes.iter().map(move |n| k as u64 * EACH + n))
         .collect();
     let records = rounds(&file("runs"), &numbers, many.threads, index, |k| {
-        let whole_s = lengths.get(&(k % super::EACH)).copied().unwrap_or(0.0);
+        let whole_s = lengths.get(&(k % EACH)).copied().unwrap_or(0.0);
         run((kind(k), k, moment(k)), whole_s, known, false)
     })?;
     Ok(print(&wholes, &records))

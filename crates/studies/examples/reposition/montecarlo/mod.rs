@@ -3,7 +3,7 @@
 
 mod page;
 
-use crate::faults::Many;
+use crate::many::{EACH, Many};
 use crate::scene::{Known, Scene, draw, of};
 use crate::whole::{self, Record};
 use scopeservo_geometry::{Mat2, SplitMix64};
@@ -102,9 +102,6 @@ fn scene(specimen: u64, repeat: u64) -> Scene {
     }
 }
 
-/// Runs of one specimen and method have numbers from this times theirs on.
-const EACH: u64 = 100_000;
-
 fn run(number: u64, known: &[Known], trace: bool) -> Outcome<Run> {
     let (kind, repeat) = ((number / EACH) as usize, number % EACH);
     let (specimen, method) = (SPECIMENS[kind / 3], Method::ALL[kind % 3]);
@@ -131,10 +128,7 @@ pub(crate) fn study(many: &Many<'_>, known: &[Known]) -> Outcome<usize> {
         );
         return Ok(0);
     }
-    let kinds = (SPECIMENS.len() * Method::ALL.len()) as u64;
-    let numbers: Vec<u64> = (0..kinds)
-        .flat_map(|kind| (0..many.count).map(move |n| kind * EACH + n))
-        .collect();
+    let numbers = many.numbers(0..SPECIMENS.len() * Method::ALL.len());
     let file = |ending: &str| many.out.join(format!("montecarlo.{ending}"));
     let runs = rounds(
         &file("jsonl"),
