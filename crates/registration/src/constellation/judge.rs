@@ -3,7 +3,8 @@
 //! A place of the view may be one of the target when it has its polarity and its size. How it looks is not asked: round cells have no
 //! orientation, and descriptors that differ for that would leave out one of the few.
 
-use super::places::{LEAST_PLACES, Place, Places};
+use super::near::Near;
+use super::places::{LEAST_PLACES, Place, Places, distance_sq};
 use crate::significance::ln_choose;
 use crate::{Prior, ScalePrior};
 use scopeservo_geometry::{Affine2, Correspondence, Vec2, similarity_robust};
@@ -15,8 +16,6 @@ const SIZE_SLACK: f64 = 1.3;
 const LEAST_OFF_PX: f64 = 0.03;
 /// More things than this in the view tell nothing: they lie everywhere.
 const MOST_OF_VIEW: usize = 2500;
-/// Cells of the index of the view's places, pixels.
-const CELL_PX: f64 = 8.0;
 
 /// View and target, and what agrees.
 pub(super) struct Judge<'a> {
@@ -30,8 +29,7 @@ pub(super) struct Judge<'a> {
     may: Vec<Vec<bool>>,
     /// How many of them there are for one of the target, on average.
     chosen: f64,
-    columns: usize,
-    cells: Vec<Vec<usize>>,
+    near: Near,
 }
 
 /// A transform with what agrees with it.
@@ -67,13 +65,6 @@ impl<'a> Judge<'a> {
         {
             return None;
         }
-        let columns = (view.size[0] as f64 / CELL_PX) as usize + 1;
-        let rows = (view.size[1] as f64 / CELL_PX) as usize + 1;
-        let mut cells = vec![Vec::new(); columns * rows];
-        for (i, place) in view.all.iter().enumerate() {
-            let [x, y] = place.at.map(|v| (v / CELL_PX).max(0.0) as usize);
-            cells[y.min(rows - 1) * columns + x.min(columns - 1)].push(i);
-        }
         let may: Vec<Vec<bool>> = (0..target.all.len())
             .map(|t| chosen(view, &target.all[t], prior, scale))
             .collect();
@@ -86,39 +77,32 @@ impl<'a> Judge<'a> {
             radius,
             chosen: chosen / target.all.len() as f64,
             may,
-            columns,
-            cells,
+            near: Near::new(view, radius),
         })
     }
 
     /// The places of the view that may be one of the target's.
-    pub(super) fn those(&self, t: usize) -> impl Iterator<Item = &Place> {
+    pub(super) fn those(&self, t: usize) -> Vec<&Place> {
         let may = self.may[t].iter();
         let all = self.view.all.iter().zip(may);
-        all.filter(|(_, may)| **may).map(|(v, _)| v)
+        all.filter(|(_, may)| **may).map(|(v, _)| v).collect()
     }
 
-    /// The nearest place of the view within a radius that may be this one of the target.
+    /// Whether a place of the view that may be this one of the target lies within the radius.
+    fn is_near(&self, at: Vec2, t: usize) -> bool {
+        let most = self.radius * self.radius;
+        let mut near = self.near.to(at, self.radius, self.target.all[t].bright);
+        near.any(|i| self.may[t][i] && distance_sq(self.view.all[i].at, at) <= most)
+    }
+
+    /// The nearest place of the view within a radius, no larger than the judge's, that may be this one of the target.
     fn nearest(&self, at: Vec2, t: usize, radius: f64) -> Option<(f64, usize)> {
-        let range = |v: f64, most: usize| {
-            let low = ((v - radius) / CELL_PX).max(0.0) as usize;
-            let high = ((v + radius) / CELL_PX).max(0.0) as usize;
-            low.min(most)..=high.min(most)
-        };
-        let rows = self.cells.len() / self.columns;
-        let mut best: Option<(f64, usize)> = None;
-        for row in range(at[1], rows - 1) {
-            for column in range(at[0], self.columns - 1) {
-                for &i in &self.cells[row * self.columns + column] {
-                    let v = &self.view.all[i];
-                    let off = f64::hypot(v.at[0] - at[0], v.at[1] - at[1]);
-                    if off <= radius && best.is_none_or(|b| off < b.0) && self.may[t][i] {
-                        best = Some((off, i));
-                    }
-                }
-            }
-        }
-        best
+        let near = self.near.to(at, radius, self.target.all[t].bright);
+        let off = |i: usize| (distance_sq(self.view.all[i].at, at).sqrt(), i);
+        let within = near.filter(|&i| self.may[t][i]).map(off);
+        within
+            .filter(|(off, _)| *off <= radius)
+            .min_by(|a, b| a.0.total_cmp(&b.0))
     }
 
     fn in_view(&self, p: Vec2) -> bool {
@@ -126,17 +110,23 @@ impl<'a> Judge<'a> {
         within(p[0], self.view.size[0]) && within(p[1], self.view.size[1])
     }
 
-    /// How many of the target's places lie in the view, and on one of its places.
-    pub(super) fn counted(&self, view_from_target: &Affine2) -> [usize; 2] {
-        let mut counted = [0, 0];
+    /// How many of the target's places lie on one of the view's: `None` when they are less than this share of those that lie in the view.
+    pub(super) fn counted(&self, view_from_target: &Affine2, share: f64) -> Option<usize> {
+        let (mut inside, mut agree) = (0, 0);
+        let mut left = self.target.all.len();
         for (t, place) in self.target.all.iter().enumerate() {
+            left -= 1;
             let at = view_from_target.apply(place.at);
             if self.in_view(at) {
-                counted[0] += 1;
-                counted[1] += usize::from(self.nearest(at, t, self.radius).is_some());
+                inside += 1;
+                agree += usize::from(self.is_near(at, t));
+            }
+            // Also if all that are left agreed.
+            if ((agree + left) as f64) < share * (inside + left) as f64 {
+                return None;
             }
         }
-        counted
+        Some(agree)
     }
 
     /// Which places agree within a radius, each once, with how far they are off.
@@ -213,11 +203,12 @@ impl<'a> Judge<'a> {
 fn chosen(view: &Places, t: &Place, prior: &Prior, scale: ScalePrior) -> Vec<bool> {
     let may_be = |v: &Place| {
         let ratio = t.sigma / (v.sigma * scale.ratio);
-        let off = f64::hypot(v.at[0] - t.at[0], v.at[1] - t.at[1]);
         v.bright == t.bright
             && ratio < SIZE_SLACK
             && ratio > 1.0 / SIZE_SLACK
-            && prior.moved_px.is_none_or(|least| off > least)
+            && prior
+                .moved_px
+                .is_none_or(|least| distance_sq(v.at, t.at) > least * least)
     };
     view.all.iter().map(may_be).collect()
 }

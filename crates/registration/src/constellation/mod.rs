@@ -9,6 +9,7 @@
 //! What is fixed to the camera keeps its size in pixels, so that it cannot agree with a scale that is none of one: this is for magnifications that differ.
 
 mod judge;
+mod near;
 mod places;
 mod search;
 

@@ -73,10 +73,15 @@ impl Places {
 impl Place {
     /// Keypoints of one thing: other orientations, and what lies within it as large.
     fn is_same(&self, other: &Self) -> bool {
-        let apart = f64::hypot(self.at[0] - other.at[0], self.at[1] - other.at[1]);
+        let apart = distance_sq(self.at, other.at).sqrt();
         let ratio = self.sigma / other.sigma;
         self.bright == other.bright
             && (1.0 / 1.6..1.6).contains(&ratio)
             && apart < SAME * self.sigma.max(other.sigma)
     }
+}
+
+/// Of two places, squared: many pairs are asked.
+pub(super) fn distance_sq(a: Vec2, b: Vec2) -> f64 {
+    (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)
 }

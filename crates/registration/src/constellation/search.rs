@@ -1,7 +1,7 @@
 //! Transforms that two places of the target and two of the view propose.
 
 use super::judge::Judge;
-use super::places::{LEAST_PLACES, Place};
+use super::places::{LEAST_PLACES, Place, distance_sq};
 use crate::prior::wrap;
 use scopeservo_geometry::{Affine2, Similarity, Vec2};
 
@@ -34,19 +34,19 @@ pub(super) fn proposals(judge: &Judge<'_>) -> Proposals {
         let (a, b) = ends;
         let apart = distance(a.at, b.at) / judge.scale.ratio;
         let slack = apart * judge.scale.tolerance + OFF_PX;
-        for v in judge.those(i) {
-            for w in judge.those(j) {
-                let long = distance(v.at, w.at);
-                if (long - apart).abs() > slack {
+        let long_sq = (apart - slack).max(0.0).powi(2)..=(apart + slack).powi(2);
+        let (first, second) = (judge.those(i), judge.those(j));
+        for v in first {
+            for &w in &second {
+                if !long_sq.contains(&distance_sq(v.at, w.at)) {
                     continue;
                 }
                 let Some(transform) = through(ends, (v, w), judge) else {
                     continue;
                 };
                 tried += 1.0;
-                let [inside, agree] = judge.counted(&transform);
-                let enough = (SHARE * inside as f64).max(LEAST_PLACES as f64);
-                if agree as f64 >= enough {
+                let agree = judge.counted(&transform, SHARE);
+                if let Some(agree) = agree.filter(|n| *n >= LEAST_PLACES) {
                     all.push((agree, transform));
                 }
             }
@@ -75,7 +75,7 @@ fn pairs(judge: &Judge<'_>) -> Vec<[usize; 2]> {
 }
 
 fn distance(a: Vec2, b: Vec2) -> f64 {
-    f64::hypot(a[0] - b[0], a[1] - b[1])
+    distance_sq(a, b).sqrt()
 }
 
 /// The view from the target, of the scale that is known, by the middle and the direction of two places; `None` where the angle is none that may be.

@@ -14,9 +14,10 @@ pub(crate) struct Many<'a> {
 }
 
 impl Many<'_> {
-    /// The numbers of the runs of these kinds.
+    /// The numbers of the runs of these kinds, in turn: a study that is broken off has as many of each.
     pub(crate) fn numbers(&self, kinds: impl Iterator<Item = usize>) -> Vec<u64> {
-        let of = |kind: usize| (0..self.count).map(move |n| kind as u64 * EACH + n);
-        kinds.flat_map(of).collect()
+        let kinds: Vec<u64> = kinds.map(|kind| kind as u64 * EACH).collect();
+        let nth = |n: u64| kinds.iter().map(move |kind| kind + n);
+        (0..self.count).flat_map(nth).collect()
     }
 }
