@@ -31,6 +31,16 @@ pub trait FeatureEngine: Debug + Send + Sync {
     /// [`FeatureError`] with what the image or the settings lack.
     fn features(&self, image: &GrayImage, most: usize) -> Result<Features, FeatureError>;
 
+    /// The same in much less time of an image with pixels to spare, without its finest features: enough where another image at the same
+    /// magnification has as many. `None` where that saves nothing, and of an engine that knows no such way.
+    fn quick_features(
+        &self,
+        _image: &GrayImage,
+        _most: usize,
+    ) -> Option<Result<Features, FeatureError>> {
+        None
+    }
+
     /// The nearest neighbours among the pairs that the gate admits, in order of `query`.
     ///
     /// # Errors

@@ -4,6 +4,7 @@ use scopeservo_features::conformance::{Check, check_engine};
 use scopeservo_features::{
     Descriptors, EngineInfo, FeatureEngine, FeatureError, Features, GrayImage, SiftEngine,
 };
+use scopeservo_sift::Options;
 
 /// The places of SIFT, described by which of neighbouring means is the greater: bits instead of bytes.
 #[derive(Debug, Default)]
@@ -58,6 +59,34 @@ fn sift_conforms() {
 #[test]
 fn an_engine_is_one_file_and_one_function() {
     all_hold(&check_engine(&Steps::default()));
+}
+
+#[test]
+fn a_large_image_has_quick_features_without_the_finest() {
+    // Spots of a sigma of 3 pixels, each of its own brightness.
+    let spots = |width: usize, height: usize| {
+        let value = |x: usize, y: usize| {
+            let cell = (x / 24 + 31 * (y / 24)) % 17;
+            let off = [x % 24, y % 24].map(|v| v as f32 - 11.5);
+            let sq = off[0] * off[0] + off[1] * off[1];
+            0.3 + 0.04 * cell as f32 * (-sq / 18.0).exp()
+        };
+        let data = (0..width * height).map(|i| value(i % width, i / width));
+        GrayImage::new(width, height, data.collect()).unwrap()
+    };
+    let engine = SiftEngine::default();
+    assert_eq!(engine.quick_features(&spots(640, 480), 500), None);
+    let large = spots(1500, 1000);
+    let quick = engine.quick_features(&large, 500).unwrap().unwrap();
+    let from_itself = SiftEngine::new(Options {
+        first_octave: 0,
+        ..Options::default()
+    });
+    assert_eq!(quick, from_itself.features(&large, 500).unwrap());
+    assert_eq!(quick.engine, engine.name());
+    assert!(quick.len() >= 400, "{}", quick.len());
+    // There is nothing to leave out.
+    assert_eq!(from_itself.quick_features(&large, 500), None);
 }
 
 /// Breaks one rule at a time.

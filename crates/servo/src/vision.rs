@@ -48,16 +48,22 @@ impl VisionOptions {
         self.found(image, self.view_features)
     }
 
+    /// Features of a view in less time, without the finest; `None` where that saves nothing.
+    pub(crate) fn of_view_quickly(
+        &self,
+        image: &GrayImage,
+    ) -> Option<Result<Features, ServoError>> {
+        let quick = self.engine.quick_features(image, self.view_features)?;
+        Some(checked(quick))
+    }
+
     /// Features of a target.
     pub(crate) fn of_target(&self, image: &GrayImage) -> Result<Features, ServoError> {
         self.found(image, self.target_features)
     }
 
-    /// An engine may be anybody's: what it gives is checked before a state or a file holds it.
     fn found(&self, image: &GrayImage, most: usize) -> Result<Features, ServoError> {
-        let features = self.engine.features(image, most)?;
-        features.check()?;
-        Ok(features)
+        checked(self.engine.features(image, most))
     }
 
     /// Registers one image's features to another's.
@@ -69,6 +75,13 @@ impl VisionOptions {
     ) -> Registration {
         register(&*self.engine, view, target, prior, &self.registration)
     }
+}
+
+/// An engine may be anybody's: what it gives is checked before a state or a file holds it.
+fn checked(found: Result<Features, FeatureError>) -> Result<Features, ServoError> {
+    let features = found?;
+    features.check()?;
+    Ok(features)
 }
 
 /// Grabs a fresh frame and tells of it. The stage is not asked for that where it stands, which may be a round trip for each frame: who

@@ -6,13 +6,14 @@ use common::{Listener, PLACE_UM, bench, one_objective, options};
 use scopeservo_features::{
     Descriptors, Engine, EngineInfo, FeatureEngine, FeatureError, Features, GrayImage, SiftEngine,
 };
-use scopeservo_registration::{NotFound, Rival};
+use scopeservo_registration::{NotFound, Prior, Rival, ScalePrior};
 use scopeservo_servo::{
-    Calibrate, CalibrateOptions, Event, Expected, FeatureLocalizer, Localizer, Measurement, NoSink,
-    Reason, Reposition, RepositionOptions, SaveOptions, SaveTarget, Servo, ServoEnd, ServoError,
-    ServoOptions, ServoTask, Target, Verdict, VisionOptions, run,
+    Calibrate, CalibrateOptions, Event, Expected, FeatureLocalizer, FixedPlaces, Localizer,
+    Measurement, NoSink, Reason, Reposition, RepositionOptions, SaveOptions, SaveTarget, Servo,
+    ServoEnd, ServoError, ServoOptions, ServoTask, Target, Verdict, VisionOptions, run,
 };
 use std::borrow::Cow;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// The places of SIFT, described by which of their neighbours is the greater.
@@ -228,5 +229,77 @@ fn a_localizer_is_one_file() {
         let (um, _) = bench.error_from(&truth);
         assert!(um <= 1.0, "{um} um");
         assert_eq!(lost, 1);
+    }
+}
+
+/// SIFT that has a quick way for any image, which keeps so many features.
+#[derive(Debug)]
+struct Quick {
+    all: SiftEngine,
+    keeps: usize,
+    asked: Arc<AtomicUsize>,
+}
+
+impl FeatureEngine for Quick {
+    fn name(&self) -> &str {
+        self.all.name()
+    }
+
+    fn info(&self) -> EngineInfo {
+        self.all.info()
+    }
+
+    fn features(&self, image: &GrayImage, most: usize) -> Result<Features, FeatureError> {
+        self.asked.fetch_add(1, Ordering::Relaxed);
+        self.all.features(image, most)
+    }
+
+    fn quick_features(
+        &self,
+        image: &GrayImage,
+        most: usize,
+    ) -> Option<Result<Features, FeatureError>> {
+        Some(self.all.features(image, most.min(self.keeps)))
+    }
+}
+
+#[test]
+fn quick_features_are_asked_at_one_magnification_and_are_enough_or_all_are_looked_for() {
+    let bench = bench(one_objective());
+    let (target, _) = bench.save();
+    let frame = bench.scope.grab().unwrap();
+    let view = GrayImage::new(frame.width, frame.height, frame.luminance()).unwrap();
+    let fixed = FixedPlaces::default();
+    // The ratio, what the quick way keeps, and how often all features are looked for.
+    for (ratio, keeps, all) in [(1.0, 1000, 0), (1.0, 40, 1), (1.0, 1, 1), (2.0, 1000, 1)] {
+        let asked = Arc::new(AtomicUsize::new(0));
+        let vision = VisionOptions {
+            engine: Engine::new(Quick {
+                all: SiftEngine::default(),
+                keeps,
+                asked: asked.clone(),
+            }),
+            ..VisionOptions::default()
+        };
+        let localizer = FeatureLocalizer { vision: &vision };
+        let expected = Expected {
+            prior: Prior {
+                scale: Some(ScalePrior {
+                    ratio,
+                    tolerance: 0.03,
+                }),
+                ..Prior::default()
+            },
+            fixed: &fixed,
+        };
+        let seen = localizer.locate(&target, &view, &expected).unwrap();
+        assert_eq!(asked.load(Ordering::Relaxed), all, "{ratio} {keeps}");
+        assert_eq!(seen.is_ok(), ratio == 1.0, "{ratio} {keeps}: {seen:?}");
+        if let Ok(seen) = seen {
+            let off = seen.estimate.target_from_view.apply([320.0, 240.0]);
+            assert!((off[0] - 320.0).abs() < 0.1 && (off[1] - 240.0).abs() < 0.1);
+            let all_agree = seen.registration.inliers;
+            assert!(all_agree >= 100, "{all_agree} of {keeps}");
+        }
     }
 }

@@ -135,7 +135,7 @@ fn by_correlation(request: &Value, view: &GrayImage, target: &GrayImage) -> Valu
     json!({ "ms": ms, "answer": found })
 }
 
-/// Features of the view, matches and transform; those of the target are there.
+/// Features of the view, matches and transform, as the servo's localizer asks for them; those of the target are there.
 fn by_features(request: &Value, view: &GrayImage, target: &GrayImage) -> Answer {
     let engine = Engine::default();
     let target = engine.features(target, 8000)?;
@@ -144,7 +144,9 @@ fn by_features(request: &Value, view: &GrayImage, target: &GrayImage) -> Answer 
         ..Prior::default()
     };
     let (ms, found) = repeat(request, || {
-        let view = engine.features(view, 3000)?;
+        let quick = scale(request).ratio < 1.5;
+        let quick = quick.then(|| engine.quick_features(view, 3000)).flatten();
+        let view = quick.unwrap_or_else(|| engine.features(view, 3000))?;
         Ok::<_, Failure>(register(
             &*engine,
             &view,

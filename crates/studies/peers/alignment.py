@@ -29,6 +29,7 @@ ROWS: list[tuple[str, Json, Json, int, tuple[int, int], Json, float, int]] = [
     ("correlation at all angles, 1:1", {"piece": "correlate"}, {"every": 4, "step_deg": 2.0}, 2, SMALL, FAR, 1.0, 5),
     ("step by features", {"piece": "step"}, {}, 2, SMALL, WIDE, 1.0, 10),
     ("step by features", {"piece": "step"}, {}, 2, LARGE, FAR, 0.5, 4),
+    ("step by features, 4:1", {"piece": "step"}, {}, 2, LARGE, WIDE, 0.25, 4),
 ]
 
 

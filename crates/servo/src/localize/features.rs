@@ -10,6 +10,11 @@ use scopeservo_registration::{
 };
 use std::borrow::Cow;
 
+/// Magnifications are alike below this ratio, target pixels per pixel of the view: above it the finest features of the view are those that the target has.
+const ALIKE: f64 = 1.5;
+/// So many that agree are enough without the finest.
+const MANY: usize = 100;
+
 /// Matches the features of any engine, and fits the transform that they agree on.
 #[derive(Debug, Clone, Copy)]
 pub struct FeatureLocalizer<'a> {
@@ -57,6 +62,13 @@ impl Localizer for FeatureLocalizer<'_> {
         view: &GrayImage,
         expected: &Expected<'_>,
     ) -> Result<Result<Measurement, NotFound>, ServoError> {
+        if expected.prior.scale.is_some_and(|s| s.ratio < ALIKE)
+            && let Some(quick) = self.vision.of_view_quickly(view)
+            && let Ok(measured) = self.measure(target, quick?, expected)
+            && measured.registration.inliers >= MANY
+        {
+            return Ok(Ok(measured));
+        }
         let features = self.vision.of_view(view)?;
         Ok(self.measure(target, features, expected))
     }
