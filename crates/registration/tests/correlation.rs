@@ -6,7 +6,7 @@ use common::{Scene, Spot, apart, frame, placed};
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, SplitMix64, Vec2};
 use scopeservo_registration::correlation::{Correlation, Counts, Picture, correlate};
-use scopeservo_registration::{Options, RotationPrior, ScalePrior};
+use scopeservo_registration::{Options, RotationPrior, ScalePrior, periods};
 
 const SIZE: [usize; 2] = [640, 480];
 const CENTRE: [f64; 2] = [319.5, 239.5];
@@ -24,7 +24,7 @@ fn seen(
     let picture = |image, counts| Picture { image, counts };
     correlate(
         &picture(view, view_counts),
-        &picture(target, target_counts),
+        (&picture(target, target_counts), &periods(target)),
         scale,
         rotation,
         &Options::default(),

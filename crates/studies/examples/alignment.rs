@@ -9,7 +9,7 @@ use scopeservo_features::{Engine, GrayImage};
 use scopeservo_geometry::{Affine2, Mat2};
 use scopeservo_registration::correlation::{Picture, correlate};
 use scopeservo_registration::tracking::Tracker;
-use scopeservo_registration::{Options, Prior, RotationPrior, ScalePrior, register};
+use scopeservo_registration::{Options, Prior, RotationPrior, ScalePrior, periods, register};
 use scopeservo_slide::Slide;
 use scopeservo_studies::warp::Source;
 use scopeservo_studies::worker::{repeat, text};
@@ -122,10 +122,12 @@ fn by_correlation(request: &Value, view: &GrayImage, target: &GrayImage) -> Valu
         image,
         counts: None,
     };
+    // Those are known of a saved target.
+    let periods_px = periods(target);
     let (ms, found) = repeat(request, || {
         correlate(
             &picture(view),
-            &picture(target),
+            (&picture(target), &periods_px),
             scale(request),
             rotation,
             &Options::default(),

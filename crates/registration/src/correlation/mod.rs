@@ -16,12 +16,12 @@ mod search;
 use crate::corners::centre;
 use crate::{
     Correspondences, NotFound, Options, Prior, Registration, Rival, RotationPrior, ScalePrior,
-    periods, register_correspondences, shifted,
+    register_correspondences, shifted,
 };
 use matched::Matched;
 use plane::Plane;
 use rayon::prelude::*;
-use scopeservo_geometry::Affine2;
+use scopeservo_geometry::{Affine2, Vec2};
 use search::Peak;
 
 pub use plane::{Counts, Picture};
@@ -67,12 +67,12 @@ pub struct Correlation {
     pub peaks: [f32; 2],
 }
 
-/// Looks for a target in a view at a known scale.
+/// Looks for a target, of which [`periods`](crate::periods) tells how it repeats itself, in a view at a known scale.
 ///
 /// Cost at 640 x 480 pixels, two cores: see docs/measured.md.
 pub fn correlate(
     view: &Picture<'_>,
-    target: &Picture<'_>,
+    (target, periods_px): (&Picture<'_>, &[Vec2]),
     scale: ScalePrior,
     rotation: Option<RotationPrior>,
     options: &Options,
@@ -86,6 +86,7 @@ pub fn correlate(
     let mut run = Run {
         view,
         target,
+        periods_px,
         levels: &levels,
         planes: Vec::new(),
         prior: &prior,
@@ -163,6 +164,7 @@ struct Agreed {
 struct Run<'a> {
     view: &'a Picture<'a>,
     target: &'a Picture<'a>,
+    periods_px: &'a [Vec2],
     levels: &'a Levels,
     /// View and target at the levels that were needed so far.
     planes: Vec<Option<(Plane, Plane)>>,
@@ -215,7 +217,7 @@ impl Run<'_> {
         }
         // Of a fine lattice all peaks are low, and blocks far from their place find another site each: its own periods tell.
         if let (true, Some(found)) = (rivals.is_empty(), best.registration.found()) {
-            let all = shifted(found, &periods(self.target.image)).into_iter();
+            let all = shifted(found, self.periods_px).into_iter();
             rivals.extend(all.map(|rival| Rival {
                 significant: true,
                 ..rival

@@ -49,10 +49,13 @@ impl CorrelationLocalizer<'_> {
                 image: view,
                 counts: free.is_some().then_some(&in_view),
             },
-            &Picture {
-                image: &image,
-                counts: (of_target.is_some() || moved.is_some()).then_some(&in_target),
-            },
+            (
+                &Picture {
+                    image: &image,
+                    counts: (of_target.is_some() || moved.is_some()).then_some(&in_target),
+                },
+                &target.periods_px,
+            ),
             scale,
             expected.prior.rotation,
             &self.vision.registration,

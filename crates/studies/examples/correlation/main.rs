@@ -17,7 +17,7 @@ use scopeservo_features::{Engine, FeatureError};
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::correlation::{Picture, correlate};
 use scopeservo_registration::{
-    Allow, Options, PictureVerdict, Prior, ScalePrior, register_pictures,
+    Allow, Options, PictureVerdict, Prior, ScalePrior, periods, register_pictures,
 };
 use scopeservo_studies::warp::SIZE;
 use scopeservo_studies::{quantile, specimens};
@@ -131,10 +131,12 @@ fn record(family: Family, number: u64, scene: &Scene, alone: bool) -> Result<Rec
         image,
         counts: None,
     };
+    // Those are known of a saved target.
+    let periods_px = periods(&scene.target);
     let start = Instant::now();
     let seen = correlate(
         &picture(&scene.view),
-        &picture(&scene.target),
+        (&picture(&scene.target), &periods_px),
         scale,
         None,
         &options,
