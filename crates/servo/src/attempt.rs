@@ -37,6 +37,13 @@ pub enum Attempt {
         /// Which.
         to: ObjectiveId,
     },
+    /// The target could not be told from what is around it: a higher objective looked at places that are like it.
+    PlacesVisited {
+        /// Which.
+        with: ObjectiveId,
+        /// Places, at most.
+        most: usize,
+    },
 }
 
 /// What was tried so far: each only once.

@@ -53,6 +53,8 @@ const AS_GOOD: f64 = 0.5;
 /// Turned by more than this it is another place, radians; or shifted by so many samples.
 const ELSEWHERE_RAD: f64 = 0.2;
 const ELSEWHERE: f64 = 4.0;
+/// A peak is known to so many pixels of the view.
+const ELSEWHERE_PX: f64 = 8.0;
 
 /// What a correlation says.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,6 +67,43 @@ pub struct Correlation {
     pub rivals: Vec<Rival>,
     /// The highest peak, and the highest of those elsewhere; 1 for what is the same.
     pub peaks: [f32; 2],
+    /// Where the target may lie by its peaks alone, the most likely first.
+    pub perhaps: Vec<Perhaps>,
+}
+
+impl Correlation {
+    /// What is nearly as like the target as anything, beside a transform that was found otherwise: rivals on which the pixels are to be asked.
+    pub fn look_alikes(&self, first: &Affine2, target_size: [usize; 2]) -> Vec<Rival> {
+        let Some(view_from_target) = first.inverse() else {
+            return Vec::new();
+        };
+        let middle = view_from_target.apply(centre(target_size));
+        let px = first.linear.det().abs().sqrt();
+        let highest = self.perhaps.first().map_or(0.0, |p| p.height);
+        let alike = self
+            .perhaps
+            .iter()
+            .filter(|p| p.height >= AS_HIGH[1] * highest);
+        let rival = |perhaps: &Perhaps| {
+            let rival = Rival::beside(first, &perhaps.target_from_view, middle, [0, 1])?;
+            let shift_px = f64::hypot(rival.shift_px[0], rival.shift_px[1]);
+            let elsewhere = shift_px > ELSEWHERE_PX * px || rival.turn_rad.abs() > ELSEWHERE_RAD;
+            elsewhere.then_some(Rival {
+                significant: true,
+                ..rival
+            })
+        };
+        alike.filter_map(rival).collect()
+    }
+}
+
+/// Where a target may lie in a view that does not say so for sure.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Perhaps {
+    /// The transform, to some pixels of the view and some degrees.
+    pub target_from_view: Affine2,
+    /// How like the target it is: 1 for what is the same.
+    pub height: f32,
 }
 
 /// Looks for a target, of which [`periods`](crate::periods) tells how it repeats itself, in a view at a known scale.
@@ -91,13 +130,17 @@ pub fn correlate(
         planes: Vec::new(),
         prior: &prior,
         options,
+        perhaps: Vec::new(),
     };
-    run.answer().unwrap_or_else(|reason| Correlation {
+    let mut seen = run.answer().unwrap_or_else(|reason| Correlation {
         registration: Registration::not_found(reason, 0),
         correspondences: nothing(view),
         rivals: Vec::new(),
         peaks: [0.0; 2],
-    })
+        perhaps: Vec::new(),
+    });
+    seen.perhaps = run.perhaps;
+    seen
 }
 
 fn nothing(view: &Picture<'_>) -> Correspondences {
@@ -170,6 +213,8 @@ struct Run<'a> {
     planes: Vec<Option<(Plane, Plane)>>,
     prior: &'a Prior,
     options: &'a Options,
+    /// The peaks of the correlation, the highest first.
+    perhaps: Vec<Perhaps>,
 }
 
 impl Run<'_> {
@@ -179,6 +224,12 @@ impl Run<'_> {
         let matched = self.at(0).ok_or_else(|| blank.clone())?;
         let angles = search::angles(&matched, self.prior.rotation);
         let peaks = search::peaks(&matched, &angles);
+        let perhaps = peaks.iter().map(|peak| Perhaps {
+            target_from_view: peak.target_from_view(&matched),
+            height: peak.height,
+        });
+        self.perhaps = perhaps.collect();
+        let matched = self.at(0).ok_or_else(|| blank.clone())?;
         let mut proposed = self.proposed(&matched, &peaks);
         // Of what is sparse the coarse blocks are few.
         let poor = proposed
@@ -382,6 +433,7 @@ impl Run<'_> {
             correspondences: best.correspondences,
             rivals,
             peaks,
+            perhaps: Vec::new(),
         }
     }
 }

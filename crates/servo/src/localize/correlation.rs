@@ -7,12 +7,15 @@ use super::{Expected, FeatureLocalizer, Localizer, Measurement, says_nothing};
 use crate::{FixedPlaces, LocatedBy, ServoError, Target, VisionOptions};
 use scopeservo_features::{GrayImage, Mask};
 use scopeservo_geometry::Vec2;
-use scopeservo_registration::correlation::{Picture, correlate};
-use scopeservo_registration::{NotFound, Rival};
+use scopeservo_registration::correlation::{Correlation, Perhaps, Picture, correlate};
+use scopeservo_registration::{NotFound, Prior, Rival};
 use std::borrow::Cow;
 
 /// Side of the cells in which fixed places are left out, pixels.
 const CELL: usize = 4;
+/// Fewer agreeing features than these, below the target's magnification by at least this factor, are looked for elsewhere as well.
+const FEW: usize = 12;
+const LOWER: f64 = 1.5;
 
 /// Asks features, and correlation where these are too few, do not match or do not agree.
 #[derive(Debug, Clone, Copy)]
@@ -28,13 +31,13 @@ impl CorrelationLocalizer<'_> {
         }
     }
 
-    /// Looks without features; `None` where nothing is known of the scale, or nothing is found.
+    /// Looks without features; `None` where nothing is known of the scale.
     fn correlated(
         &self,
         target: &Target,
         view: &GrayImage,
         expected: &Expected<'_>,
-    ) -> Option<Measurement> {
+    ) -> Option<Correlation> {
         let scale = expected.prior.scale?;
         let image = target.gray().ok()?;
         let free = free_of(expected.fixed, view);
@@ -44,7 +47,7 @@ impl CorrelationLocalizer<'_> {
         let in_target = |p: Vec2| {
             of_target.as_ref().is_none_or(|m| m.holds(p)) && moved.is_none_or(|m| m.holds(p))
         };
-        let seen = correlate(
+        Some(correlate(
             &Picture {
                 image: view,
                 counts: free.is_some().then_some(&in_view),
@@ -59,16 +62,29 @@ impl CorrelationLocalizer<'_> {
             scale,
             expected.prior.rotation,
             &self.vision.registration,
-        );
-        Some(Measurement {
-            estimate: seen.registration.found()?.clone(),
-            by: LocatedBy::Correlation,
-            registration: seen.registration,
-            correspondences: seen.correspondences,
-            features: None,
-            rivals: seen.rivals,
-        })
+        ))
     }
+}
+
+/// The same at any angle.
+fn anywhere<'a>(expected: &Expected<'a>) -> Expected<'a> {
+    let prior = Prior {
+        rotation: None,
+        ..expected.prior
+    };
+    Expected { prior, ..*expected }
+}
+
+/// What was found.
+fn measurement(seen: Correlation) -> Option<Measurement> {
+    Some(Measurement {
+        estimate: seen.registration.found()?.clone(),
+        by: LocatedBy::Correlation,
+        registration: seen.registration,
+        correspondences: seen.correspondences,
+        features: None,
+        rivals: seen.rivals,
+    })
 }
 
 /// Where nothing is fixed to the camera; `None` where nothing is known to be, or the image is another camera's.
@@ -90,14 +106,30 @@ impl Localizer for CorrelationLocalizer<'_> {
         expected: &Expected<'_>,
     ) -> Result<Result<Measurement, NotFound>, ServoError> {
         let reason = match self.features().locate(target, view, expected)? {
-            Ok(measured) => return Ok(Ok(measured)),
+            Ok(measured) if measured.registration.inliers >= FEW => return Ok(Ok(measured)),
+            // Few things agree as well where they are there a second time, and then hardly a match passes for one of the two.
+            Ok(mut measured) => {
+                let found = measured.estimate.target_from_view;
+                if found.linear.det().abs() >= LOWER * LOWER
+                    && let Some(seen) = self.correlated(target, view, &anywhere(expected))
+                {
+                    let size = [target.features.width, target.features.height];
+                    measured.rivals.extend(seen.look_alikes(&found, size));
+                }
+                return Ok(Ok(measured));
+            }
             Err(reason) => reason,
         };
         let seen = match says_nothing(&reason) {
             true => self.correlated(target, view, expected),
             false => None,
         };
-        Ok(seen.ok_or(reason))
+        Ok(seen.and_then(measurement).ok_or(reason))
+    }
+
+    fn perhaps(&self, target: &Target, view: &GrayImage, expected: &Expected<'_>) -> Vec<Perhaps> {
+        let seen = self.correlated(target, view, expected);
+        seen.map_or_else(Vec::new, |seen| seen.perhaps)
     }
 
     fn rivals(

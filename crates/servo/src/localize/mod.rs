@@ -6,6 +6,7 @@ mod features;
 
 use crate::{FixedPlaces, LocatedBy, ServoError, Target};
 use scopeservo_features::{Features, GrayImage};
+use scopeservo_registration::correlation::Perhaps;
 use scopeservo_registration::{Correspondences, Estimate, NotFound, Prior, Registration, Rival};
 use std::borrow::Cow;
 use std::fmt::Debug;
@@ -41,7 +42,7 @@ pub struct Measurement {
 }
 
 /// Whether descriptors say nothing, and another way may.
-fn says_nothing(reason: &NotFound) -> bool {
+pub(crate) fn says_nothing(reason: &NotFound) -> bool {
     matches!(
         reason,
         NotFound::TooFewFeatures { .. }
@@ -69,6 +70,17 @@ pub trait Localizer: Debug + Send + Sync {
         view: &GrayImage,
         expected: &Expected<'_>,
     ) -> Result<Result<Measurement, NotFound>, ServoError>;
+
+    /// Where the target may lie in a view in which it was not found, the most likely first: for a look with a higher objective. Nowhere, of a
+    /// localizer that cannot tell.
+    fn perhaps(
+        &self,
+        _target: &Target,
+        _view: &GrayImage,
+        _expected: &Expected<'_>,
+    ) -> Vec<Perhaps> {
+        Vec::new()
+    }
 
     /// Other transforms that explain a view nearly as well. `without_identity`: what stays where it is on the sensor is none.
     fn rivals(

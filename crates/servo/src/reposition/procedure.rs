@@ -8,6 +8,7 @@ mod known;
 mod legs;
 mod recover;
 mod sharpen;
+mod visit;
 
 use super::parcentric::Beside;
 use super::sharpening::Sharpening;
@@ -15,6 +16,7 @@ use super::{ahead, parcentric, words};
 use crate::attempt::Tried;
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
+use crate::servo::may_lie::MayLieAt;
 use crate::servo::watch::Watch;
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
@@ -28,6 +30,7 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
+use visit::Visit;
 
 /// Settings of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -68,6 +71,8 @@ enum Work {
     },
     /// Nothing was seen: is it the objective that it is said to be?
     Identify(Box<Identify>),
+    /// Places where the target may lie are looked at.
+    Visit,
 }
 
 /// Algorithm 1 as a step machine. Serialise it between two steps to continue after a kill.
@@ -113,6 +118,15 @@ pub struct Reposition {
     /// How the camera exposed before the run changed that.
     #[serde(default)]
     exposure_before: Option<Duration>,
+    /// Where the target may lie, by the last loop that did not find it.
+    #[serde(default)]
+    may_lie_at: Option<MayLieAt>,
+    /// The places that are looked at.
+    #[serde(default)]
+    visit: Option<Visit>,
+    /// The objective that did not tell, and where it did not.
+    #[serde(default)]
+    visited_from: Option<(ObjectiveId, PlanarPose)>,
 }
 
 impl Reposition {
@@ -135,6 +149,9 @@ impl Reposition {
             tried: Tried::default(),
             sharpening: Sharpening::default(),
             exposure_before: None,
+            may_lie_at: None,
+            visit: None,
+            visited_from: None,
         }
     }
 
@@ -314,6 +331,7 @@ impl Reposition {
                     return Ok(None);
                 };
                 let seen = servo.seen();
+                self.may_lie_at = servo.may_lie_at().cloned();
                 self.watch = servo.watch().clone();
                 self.remarks.extend(self.watch.remarks());
                 self.done.push(MagnificationResult {
@@ -331,8 +349,9 @@ impl Reposition {
             }
             Work::Identify(identify) => {
                 let seen = identify.step(scope, sink);
-                self.looked_at(scope, leg.objective(), seen)
+                self.looked_at(scope, sink, leg.objective(), seen)
             }
+            Work::Visit => self.visited(scope, sink, &target, leg),
         }
     }
 }

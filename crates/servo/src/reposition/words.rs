@@ -219,6 +219,11 @@ fn tried(objective: &ObjectiveId, attempt: &Attempt) -> String {
         Attempt::AnotherObjective { to } => {
             format!("The saved view was not seen with {objective}, and was looked for with {to}")
         }
+        Attempt::PlacesVisited { with, most } => format!(
+            "With {objective} the saved view could not be told from what is around it, and {with} looked where it may be, at {most} place{} at \
+             most",
+            if *most == 1 { "" } else { "s" }
+        ),
     }
 }
 

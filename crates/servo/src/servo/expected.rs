@@ -84,6 +84,13 @@ impl Expected {
     }
 }
 
+impl ServoTask<'_> {
+    /// What is known before any frame: the scale.
+    pub(crate) fn before_any_frame(&self) -> Prior {
+        Expected::default().prior(self)
+    }
+}
+
 /// Pixels of the target to one of the view.
 fn scale_of(task: &ServoTask<'_>) -> f64 {
     task.view_calibration.um_per_px() / task.target_calibration.um_per_px()

@@ -2,6 +2,7 @@
 
 use super::blur::Blur;
 use super::criteria::Criteria;
+use super::may_lie::MayLieAt;
 use super::promise::{Kept, Promise};
 use super::sight::{Located, Sight, View};
 use super::state::Servo;
@@ -42,6 +43,11 @@ impl Servo {
     /// What the moves have shown so far.
     pub(crate) fn watch(&self) -> &Watch {
         &self.watch
+    }
+
+    /// Where the target may lie, after it was not found.
+    pub(crate) fn may_lie_at(&self) -> Option<&MayLieAt> {
+        self.may_lie_at.as_ref()
     }
 
     /// Whether the target was seen at all.
@@ -181,7 +187,9 @@ impl Servo {
         let may = self.convergence.iteration < task.options.max_iterations;
         let Some((before, error)) = self.watch.turns_back().filter(|_| may) else {
             let end = self.gone(end);
-            return Ok(Progress::Done(self.or_mirrored(task, view, end)?));
+            let end = self.or_mirrored(task, view, end)?;
+            self.may_lie_at = self.may_lie(task, scope, view, &end)?;
+            return Ok(Progress::Done(end));
         };
         let present = scope.gate().position()?;
         move_from_one_side(

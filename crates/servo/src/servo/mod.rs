@@ -12,6 +12,7 @@ pub(crate) mod end;
 mod expected;
 mod frames;
 pub(crate) mod hand_over;
+pub(crate) mod may_lie;
 pub(crate) mod missing;
 pub(crate) mod options;
 mod pixels;

@@ -3,6 +3,7 @@
 use super::blur::Blur;
 use super::convergence::Convergence;
 use super::expected::Expected;
+use super::may_lie::MayLieAt;
 use super::watch::Watch;
 use crate::PoseError;
 use crate::proof::Proof;
@@ -28,4 +29,7 @@ pub struct Servo {
     /// How blurred the last frame was beside the target, where that could be told.
     #[serde(default)]
     pub(super) blur: Option<Blur>,
+    /// Where the target may lie, after it was not found.
+    #[serde(default)]
+    pub(super) may_lie_at: Option<MayLieAt>,
 }

@@ -10,6 +10,7 @@ use crate::{
     ServoOptions, Target, Velocity, VisionOptions,
 };
 use scopeservo_features::GrayImage;
+use scopeservo_registration::correlation::Perhaps;
 use scopeservo_registration::{NotFound, Rival};
 use scopeservo_scope::{Axis, Instrument, ObjectiveId};
 
@@ -63,6 +64,11 @@ impl<'a> ServoTask<'a> {
         expected: &Expected<'_>,
     ) -> Result<Result<Measurement, NotFound>, ServoError> {
         self.with_localizer(|l| l.locate(self.target, view, expected))
+    }
+
+    /// Where the target may lie in a view in which it was not found, at any angle.
+    pub(crate) fn perhaps(&self, view: &GrayImage, expected: &Expected<'_>) -> Vec<Perhaps> {
+        self.with_localizer(|l| l.perhaps(self.target, view, expected))
     }
 
     /// Other transforms that explain a view nearly as well.

@@ -4,6 +4,7 @@
 use super::Target;
 use super::quality::{LIKELY, TargetQuality, Tried, Weakness};
 use crate::localize::with_localizer;
+use crate::vision::centre_px;
 use crate::{Expected, FixedPlaces, ServoError, VisionOptions};
 use scopeservo_features::{FeatureError, Features, GrayImage, Keypoint, noise_sigma};
 use scopeservo_geometry::{Affine2, Mat2, SplitMix64, Vec2};
@@ -28,6 +29,9 @@ const ASIDE: f64 = 0.15;
 const TURNED_RAD: f64 = 0.03;
 /// A view is found when all corners of the target land within this of where they are, target pixels.
 const RIGHT_PX: f64 = 12.0;
+/// Where a target may lie, it does when its middle is within this of there, pixels of the view, and when it is so like itself; 1 for the same.
+const LIKELY_PX: f64 = 6.0;
+const LIKELY_HEIGHT: f32 = 0.3;
 /// Features are counted in so many squares along the shorter side.
 const SQUARES: usize = 8;
 /// What lies within less of the image than this lies in a corner; features on less of it are few.
@@ -65,12 +69,17 @@ pub(super) fn tried(
         for _ in 0..views {
             let mut made = Made::draw(&mut rng, image, ratio, is_own);
             made.noise = made.noise.min(noisiest);
-            match made.located(&made.view(image, &mut rng)?, target, vision)? {
+            let view = made.view(image, &mut rng)?;
+            match made.located(&view, target, vision)? {
                 Found::Right(sigma) => {
                     seen.found += 1;
                     sigmas.extend(is_own.then_some(sigma));
                 }
                 Found::Wrong => seen.misled += 1,
+                // A higher objective looks where it may lie.
+                Found::Not if !is_own => {
+                    seen.found += usize::from(made.is_likely(&view, target, vision));
+                }
                 Found::Not => {}
             }
         }
@@ -262,10 +271,8 @@ impl Made {
         target: &Target,
         vision: &VisionOptions,
     ) -> Result<Found, ServoError> {
-        let expected = Expected {
-            prior: self.prior,
-            fixed: &FixedPlaces::default(),
-        };
+        let fixed = FixedPlaces::default();
+        let expected = self.expected(&fixed);
         let seen = with_localizer(vision, |l| l.locate(target, view, &expected))?;
         let (Ok(measured), Some(view_from_target)) = (seen, self.target_from_view.inverse()) else {
             return Ok(Found::Not);
@@ -280,6 +287,29 @@ impl Made {
             true => Found::Right([found.sigma_px, found.sigma_angle_rad]),
             false => Found::Wrong,
         })
+    }
+
+    /// Whether the most likely place of a target that was not found is where it is.
+    fn is_likely(&self, view: &GrayImage, target: &Target, vision: &VisionOptions) -> bool {
+        let fixed = FixedPlaces::default();
+        let perhaps = with_localizer(vision, |l| l.perhaps(target, view, &self.expected(&fixed)));
+        let (Some(first), Some(view_from_target)) =
+            (perhaps.first(), self.target_from_view.inverse())
+        else {
+            return false;
+        };
+        let centre = centre_px(target.features.width, target.features.height);
+        let seen = first.target_from_view.apply(view_from_target.apply(centre));
+        let ratio = self.prior.scale.map_or(1.0, |s| s.ratio);
+        let off_px = f64::hypot(seen[0] - centre[0], seen[1] - centre[1]) / ratio;
+        first.height >= LIKELY_HEIGHT && off_px <= LIKELY_PX
+    }
+
+    fn expected<'a>(&self, fixed: &'a FixedPlaces) -> Expected<'a> {
+        Expected {
+            prior: self.prior,
+            fixed,
+        }
     }
 }
 

@@ -58,6 +58,8 @@ struct Record {
     refused: bool,
     verdict: String,
     reason: String,
+    #[serde(default)]
+    message: String,
     true_um: f64,
     true_deg: f64,
     claimed_um: f64,
@@ -158,6 +160,7 @@ fn one(index: u64, known: &[Known], vision: &VisionOptions) -> Outcome<Record> {
     Ok(Record {
         verdict: word(&outcome.verdict)?,
         reason: word(&outcome.reason)?,
+        message: outcome.message,
         true_um: f64::hypot(off[0], off[1]),
         true_deg: turn.abs(),
         claimed_um: outcome.estimated_error_um.unwrap_or(0.0),

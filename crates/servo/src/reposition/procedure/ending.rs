@@ -100,18 +100,19 @@ impl Reposition {
     ) -> Result<bool, ServoError> {
         Ok(self.tries_again(scope, sink, error)?
             || self.went_astray(scope, error)?
+            || self.passes_by(scope, error)?
             || self.widens_focus(scope, sink, error))
     }
 
     /// What a look at the objective says to a target that was not seen.
     pub(super) fn looked_at(
-        &self,
+        &mut self,
         scope: &Instrument,
+        sink: &mut dyn Sink,
         told: &ObjectiveId,
         seen: Result<Progress<Identity>, ServoError>,
     ) -> Result<Option<Outcome>, ServoError> {
         let target = self.target()?;
-        let not_found = || self.done.last().map(|d| self.end(&d.end, &target));
         match seen {
             Ok(Progress::Continue) => Ok(None),
             Ok(Progress::Done(identity)) if !identity.as_told => Err(ServoError::WrongObjective {
@@ -125,8 +126,11 @@ impl Reposition {
             }
             // It is, or that could not be seen either.
             Ok(Progress::Done(_)) | Err(_) => {
+                if self.begins_visit(scope, sink, told)? {
+                    return Ok(None);
+                }
                 self.leave_as_found(scope)?;
-                Ok(not_found())
+                Ok(self.done.last().map(|d| self.end(&d.end, &target)))
             }
         }
     }
@@ -142,7 +146,10 @@ impl Reposition {
     }
 
     /// A view that was not found where moves led that nobody has seen the end of: it is left as it was found.
-    pub(super) fn leave_as_found(&self, scope: &Instrument) -> Result<(), ServoError> {
+    pub(super) fn leave_as_found(&mut self, scope: &Instrument) -> Result<(), ServoError> {
+        if self.leaves_places(scope)? {
+            return Ok(());
+        }
         match self.watch.promise {
             Some(_) => self.to_the_start(scope),
             None => Ok(()),
@@ -217,9 +224,10 @@ impl Reposition {
     }
 
     /// The answer that the end of the last loop means.
-    fn end(&self, end: &ServoEnd, target: &Target) -> Outcome {
+    pub(super) fn end(&self, end: &ServoEnd, target: &Target) -> Outcome {
         let at = self.done.last().map_or(0.0, |d| d.magnification);
-        let seen_below = self.done.iter().any(|d| d.magnification < at);
+        let seen = |d: &MagnificationResult| d.magnification < at && d.end.result().is_some();
+        let seen_below = self.done.iter().any(seen);
         let left = self.left(end, target);
         let (verdict, reason, mut message) = words::answer_of(end, at, seen_below, left.as_ref());
         if !matches!(end, ServoEnd::Contradicted { .. }) {

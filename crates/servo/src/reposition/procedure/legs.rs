@@ -14,6 +14,11 @@ impl Reposition {
         sink: &mut dyn Sink,
         leg: Leg,
     ) -> Result<(), ServoError> {
+        if self.visits(leg.objective()) {
+            let work = Work::Visit;
+            self.state = State::Under { leg, work };
+            return Ok(());
+        }
         let before = self.done.last();
         let trusted = parcentric::centres_hold(&self.done).then_some(&self.calibrations);
         if let Some(before) = before.filter(|d| matches!(d.end, ServoEnd::Converged(_)))
@@ -47,7 +52,7 @@ impl Reposition {
         Ok(())
     }
 
-    fn servo(&mut self, scope: &Instrument, sink: &mut dyn Sink, leg: Leg) {
+    pub(super) fn servo(&mut self, scope: &Instrument, sink: &mut dyn Sink, leg: Leg) {
         self.enter(scope, sink, Phase::Servo, &leg);
         let seen =
             |d: &MagnificationResult| d.objective == *leg.objective() && d.end.result().is_some();
