@@ -10,6 +10,7 @@ use crate::{
     Expected, Law, PlanarPose, PoseEstimate, ServoEnd, ServoError, ServoTask, motion_of,
     pose_after, pose_error,
 };
+use scopeservo_geometry::{Affine2, Vec2};
 use scopeservo_registration::correlation::Perhaps;
 use scopeservo_scope::{Axis, Instrument, ObjectiveId};
 use serde::{Deserialize, Serialize};
@@ -72,15 +73,11 @@ impl Servo {
         let highest = all.first().map_or(0.0, |first| first.height);
         let likely = |p: &&Perhaps| p.height >= LEAST_HEIGHT.max(LEAST_SHARE * highest);
         let (goals, present) = (scope.gate().goals()?, scope.gate().position()?);
+        let size = [view.image.width(), view.image.height()];
         let mut places = Vec::new();
         for perhaps in all.iter().filter(likely).take(MOST) {
-            let to = leads_to(
-                task,
-                scope,
-                (view, perhaps),
-                over,
-                &PlanarPose::from(&present),
-            );
+            let seen = (&perhaps.target_from_view, size);
+            let to = leads_to(task, scope, seen, over.aim_m, &PlanarPose::from(&present));
             let stage = to.filter(|to| goals.allow(&to.request(&present)));
             places.extend(stage.map(|stage| MayLie {
                 stage,
@@ -94,23 +91,23 @@ impl Servo {
     }
 }
 
-/// Where the stage goes for another objective to see what may be the target as it was saved.
-fn leads_to(
+/// Where the stage goes for what is seen in a view from `present`, of so many pixels, to lie as the target was saved, or beside that by `aim_m`.
+pub(crate) fn leads_to(
     task: &ServoTask<'_>,
     scope: &Instrument,
-    (view, perhaps): (&View, &Perhaps),
-    over: &HandOver,
+    (target_from_view, size): (&Affine2, [usize; 2]),
+    aim_m: Vec2,
     present: &PlanarPose,
 ) -> Option<PlanarPose> {
     let target = &task.target.features;
     let mut error = pose_error(
-        &perhaps.target_from_view,
+        target_from_view,
         task.view_calibration,
         task.target_calibration,
-        centre_px(view.image.width(), view.image.height()),
+        centre_px(size[0], size[1]),
         centre_px(target.width, target.height),
     )?;
-    for (t, aim) in error.t_m.iter_mut().zip(over.aim_m) {
+    for (t, aim) in error.t_m.iter_mut().zip(aim_m) {
         *t -= aim;
     }
     let info = scope.gate().info();

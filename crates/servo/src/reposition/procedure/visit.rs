@@ -6,19 +6,23 @@
 use super::super::{Leg, MagnificationResult, Outcome};
 use super::{Reposition, State, Work};
 use crate::event::tell;
-use crate::servo::may_lie::{MayLie, MayLieAt};
+use crate::law::error_after;
+use crate::servo::may_lie::{MayLie, MayLieAt, leads_to};
 use crate::vision::{grab, gray};
 use crate::{
-    Attempt, ErrorCode, Event, Expected, FixedPlaces, FrameRole, PlanarPose, ServoEnd, ServoError,
-    ServoTask, Sink, Target,
+    Attempt, Calibration, ErrorCode, Event, Expected, FixedPlaces, FrameRole, PlanarPose,
+    PoseError, ServoEnd, ServoError, ServoTask, Sink, Target, motion_between,
 };
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::Rival;
-use scopeservo_scope::{Instrument, ObjectiveId};
+use scopeservo_scope::{Instrument, Kinematics, ObjectiveId};
 use serde::{Deserialize, Serialize};
 
 /// A place that is less likely than this share of one where the target is seen does not make that doubtful.
 const AS_LIKELY: f32 = 0.75;
+/// What is seen from two places within this of each other is one thing, m and rad.
+const ONE_M: f64 = 10e-6;
+const ONE_RAD: f64 = 0.05;
 
 /// The places, and what was seen there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -26,8 +30,16 @@ pub(super) struct Visit {
     at: MayLieAt,
     /// So many were looked at.
     looked: usize,
-    /// The target was seen at these.
-    seen: Vec<MayLie>,
+    /// Where the target was seen: each once, from whichever place.
+    seen: Vec<Seen>,
+}
+
+/// The target, seen from a place.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct Seen {
+    from: MayLie,
+    /// Where the stage brings it back.
+    goal: PlanarPose,
 }
 
 impl Visit {
@@ -36,7 +48,7 @@ impl Visit {
         let next = self.at.places.get(self.looked)?;
         match self.seen[..] {
             [] => Some(next),
-            [seen] => (next.height >= AS_LIKELY * seen.height).then_some(next),
+            [seen] => (next.height >= AS_LIKELY * seen.from.height).then_some(next),
             _ => None,
         }
     }
@@ -136,22 +148,32 @@ impl Reposition {
         };
         let number = visit.looked;
         self.goes_to_next(scope)?;
-        let is_seen = self.looks(scope, sink, target, (&leg, number))?;
-        if let Some(visit) = &mut self.visit {
+        let goal = self.looks(scope, sink, target, (&leg, number))?;
+        let seen = goal.map(|goal| Seen { from: next, goal });
+        let here = self.calibrations.get(leg.objective());
+        if let (Some(visit), Some(here)) = (&mut self.visit, here) {
+            let kinematics = scope.gate().info().kinematics;
+            let is_another = |seen: &Seen| {
+                let known = visit.seen.iter();
+                known
+                    .map(|k| k.beside(seen, kinematics, here))
+                    .all(|off| off.distance_um() > 1e6 * ONE_M || off.theta_rad.abs() > ONE_RAD)
+            };
+            let another = seen.filter(is_another);
             visit.looked += 1;
-            visit.seen.extend(is_seen.then_some(next));
+            visit.seen.extend(another);
         }
         Ok(None)
     }
 
-    /// Whether the target is seen where the stage stands, at any angle.
+    /// Where the stage brings the target back that is seen where it stands, at any angle.
     fn looks(
         &self,
         scope: &Instrument,
         sink: &mut dyn Sink,
         target: &Target,
         (leg, number): (&Leg, usize),
-    ) -> Result<bool, ServoError> {
+    ) -> Result<Option<PlanarPose>, ServoError> {
         let objective = leg.objective();
         let frame = grab(scope, sink, FrameRole::Servo, objective)?;
         let view = gray(scope, &frame)?;
@@ -176,17 +198,26 @@ impl Reposition {
             prior: task.before_any_frame(),
             fixed: &FixedPlaces::default(),
         };
-        let seen = task.locate(&view, &expected)?;
-        if let Err(reason) = &seen {
-            let event = Event::Lost {
-                objective: objective.clone(),
-                iteration: number,
-                sequence: frame.sequence,
-                reason: reason.clone(),
-            };
-            tell(scope, sink, event);
+        let stands = PlanarPose::from(&scope.gate().position()?);
+        match task.locate(&view, &expected)? {
+            Ok(seen) => {
+                let seen = (
+                    &seen.estimate.target_from_view,
+                    [view.width(), view.height()],
+                );
+                Ok(leads_to(&task, scope, seen, [0.0; 2], &stands))
+            }
+            Err(reason) => {
+                let event = Event::Lost {
+                    objective: objective.clone(),
+                    iteration: number,
+                    sequence: frame.sequence,
+                    reason,
+                };
+                tell(scope, sink, event);
+                Ok(None)
+            }
         }
-        Ok(seen.is_ok())
     }
 
     fn concludes(
@@ -202,24 +233,28 @@ impl Reposition {
         match visit.seen[..] {
             [seen] => {
                 let present = scope.gate().position()?;
-                scope.move_to(&seen.stage.request(&present))?;
+                scope.move_to(&seen.from.stage.request(&present))?;
                 self.servo(scope, sink, leg);
                 Ok(None)
             }
             [one, other, ..] => {
-                let rival = self.rival(target, &one, &other);
-                let calibration = self.calibrations.get(leg.objective()).cloned();
-                let end = rival
-                    .zip(calibration)
-                    .map(|((rival, um_per_px), calibration)| MagnificationResult {
+                let kinematics = scope.gate().info().kinematics;
+                let ends = self.target_calibration(target);
+                if let Some((calibration, at_target)) =
+                    self.calibrations.get(leg.objective()).zip(ends)
+                {
+                    let um_per_px = at_target.um_per_px();
+                    let off = one.beside(&other, kinematics, calibration);
+                    self.done.push(MagnificationResult {
                         objective: leg.objective().clone(),
-                        magnification: scope
-                            .objective(leg.objective())
-                            .map_or(0.0, |o| o.magnification),
-                        end: ServoEnd::Ambiguous { rival, um_per_px },
-                        calibration,
+                        magnification: scope.objective(leg.objective())?.magnification,
+                        end: ServoEnd::Ambiguous {
+                            rival: rival(&off, um_per_px),
+                            um_per_px,
+                        },
+                        calibration: calibration.clone(),
                     });
-                self.done.extend(end);
+                }
                 Ok(self.done.last().map(|d| self.end(&d.end, target)))
             }
             [] => {
@@ -239,21 +274,32 @@ impl Reposition {
         scope.move_to(&stood.request(&present))?;
         Ok(true)
     }
+}
 
-    /// What the second place is beside the first, and the size of a pixel of the target, um.
-    fn rival(&self, target: &Target, one: &MayLie, other: &MayLie) -> Option<(Rival, f64)> {
-        let at_target = self.target_calibration(target)?;
-        let um_per_px = at_target.um_per_px();
-        let apart_m = [0, 1].map(|k| other.stage.x_m[k] - one.stage.x_m[k]);
-        let camera_m = at_target.stage_from_camera().transpose() * apart_m;
-        let rival = Rival {
-            target_from_view: Affine2::IDENTITY,
-            shift_px: camera_m.map(|v| 1e6 * v / um_per_px),
-            turn_rad: other.stage.theta_rad - one.stage.theta_rad,
-            places: 1,
-            asked: 1,
-            significant: true,
+impl Seen {
+    /// Where another one lies from this one, and how it is turned, as the camera sees it.
+    fn beside(&self, other: &Self, kinematics: Kinematics, here: &Calibration) -> PoseError {
+        let there = PoseError {
+            t_m: [0.0; 2],
+            theta_rad: 0.0,
         };
-        Some((rival, um_per_px))
+        let motion = motion_between(kinematics, &self.goal, &other.goal);
+        let off = error_after(&there, &motion, here);
+        PoseError {
+            theta_rad: off.theta_rad.sin().atan2(off.theta_rad.cos()),
+            ..off
+        }
+    }
+}
+
+/// The same, for the answer.
+fn rival(off: &PoseError, um_per_px: f64) -> Rival {
+    Rival {
+        target_from_view: Affine2::IDENTITY,
+        shift_px: off.t_um().map(|um| um / um_per_px),
+        turn_rad: off.theta_rad,
+        places: 1,
+        asked: 1,
+        significant: true,
     }
 }
