@@ -6,6 +6,7 @@ mod left;
 mod light;
 mod outcome;
 mod parcentric;
+mod places;
 mod procedure;
 mod sharpening;
 mod words;

@@ -11,12 +11,13 @@ mod sharpen;
 mod visit;
 
 use super::parcentric::Beside;
+use super::places::Visit;
 use super::sharpening::Sharpening;
 use super::{ahead, parcentric, words};
 use crate::attempt::Tried;
 use crate::event::tell;
 use crate::procedure::{Procedure, Progress};
-use crate::servo::may_lie::MayLieAt;
+use crate::servo::places::MayLieAt;
 use crate::servo::watch::Watch;
 use crate::target::MIN_TARGET_FEATURES;
 use crate::{
@@ -30,7 +31,6 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
-use visit::Visit;
 
 /// Settings of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]

@@ -2,7 +2,7 @@
 
 use super::blur::Blur;
 use super::criteria::Criteria;
-use super::may_lie::MayLieAt;
+use super::places::MayLieAt;
 use super::promise::{Kept, Promise};
 use super::sight::{Located, Sight, View};
 use super::state::Servo;

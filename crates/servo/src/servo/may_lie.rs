@@ -1,6 +1,7 @@
 //! Where the target may lie in a view that does not say so for sure, and where the stage goes to see it with a higher objective.
 
 use super::hand_over::HandOver;
+use super::places::{MayLie, MayLieAt};
 use super::sight::View;
 use super::state::Servo;
 use super::turning::{turned_within, turning};
@@ -13,7 +14,6 @@ use crate::{
 use scopeservo_geometry::{Affine2, Vec2};
 use scopeservo_registration::correlation::Perhaps;
 use scopeservo_scope::{Axis, Instrument, ObjectiveId};
-use serde::{Deserialize, Serialize};
 
 /// What is less like the target than this, or than this share of what is most like it, is not looked at,
 const LEAST_HEIGHT: f32 = 0.25;
@@ -24,23 +24,6 @@ const MOST: usize = 6;
 const PLACE_PX: f64 = 3.0;
 /// So many standard deviations are sure.
 const SIGMAS: f64 = 3.0;
-
-/// Somewhere the target may lie.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(crate) struct MayLie {
-    /// Where the stage goes for the higher objective to see it.
-    pub(crate) stage: PlanarPose,
-    /// How like the target it is: 1 for what is the same.
-    pub(crate) height: f32,
-}
-
-/// All of these, and what looks at them.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct MayLieAt {
-    pub(crate) to: ObjectiveId,
-    /// The most likely first; at least one.
-    pub(crate) places: Vec<MayLie>,
-}
 
 impl Servo {
     /// Where the target may lie after it was not found: within the stage's reach, and by what another objective of the same medium sees.

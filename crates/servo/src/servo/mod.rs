@@ -16,6 +16,7 @@ pub(crate) mod may_lie;
 pub(crate) mod missing;
 pub(crate) mod options;
 mod pixels;
+pub(crate) mod places;
 pub(crate) mod promise;
 mod reach;
 mod recover;

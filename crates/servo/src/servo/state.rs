@@ -3,7 +3,7 @@
 use super::blur::Blur;
 use super::convergence::Convergence;
 use super::expected::Expected;
-use super::may_lie::MayLieAt;
+use super::places::MayLieAt;
 use super::watch::Watch;
 use crate::PoseError;
 use crate::proof::Proof;

@@ -16,7 +16,7 @@ pub struct Tried {
     pub objective: ObjectiveId,
     /// Views made.
     pub views: usize,
-    /// Those in which the target was found where it is.
+    /// Those in which the target was found where it is, or below its own magnification was most likely there.
     pub found: usize,
     /// Those in which it was found elsewhere.
     pub misled: usize,

@@ -3,56 +3,19 @@
 //! All that are as likely as the one where it is seen are looked at, too: seen twice it is ambiguous. Where it is seen once a leg begins there as
 //! anywhere else, and claims nothing that it does not prove. Seen nowhere, all is left as it was.
 
+use super::super::places::{Seen, Visit};
 use super::super::{Leg, MagnificationResult, Outcome};
 use super::{Reposition, State, Work};
 use crate::event::tell;
-use crate::law::error_after;
-use crate::servo::may_lie::{MayLie, MayLieAt, leads_to};
+use crate::servo::may_lie::leads_to;
 use crate::vision::{grab, gray};
 use crate::{
-    Attempt, Calibration, ErrorCode, Event, Expected, FixedPlaces, FrameRole, PlanarPose,
-    PoseError, ServoEnd, ServoError, ServoTask, Sink, Target, motion_between,
+    Attempt, ErrorCode, Event, Expected, FixedPlaces, FrameRole, PlanarPose, PoseError, ServoEnd,
+    ServoError, ServoTask, Sink, Target,
 };
 use scopeservo_geometry::Affine2;
 use scopeservo_registration::Rival;
-use scopeservo_scope::{Instrument, Kinematics, ObjectiveId};
-use serde::{Deserialize, Serialize};
-
-/// A place that is less likely than this share of one where the target is seen does not make that doubtful.
-const AS_LIKELY: f32 = 0.75;
-/// What is seen from two places within this of each other is one thing, m and rad.
-const ONE_M: f64 = 10e-6;
-const ONE_RAD: f64 = 0.05;
-
-/// The places, and what was seen there.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Visit {
-    at: MayLieAt,
-    /// So many were looked at.
-    looked: usize,
-    /// Where the target was seen: each once, from whichever place.
-    seen: Vec<Seen>,
-}
-
-/// The target, seen from a place.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-struct Seen {
-    from: MayLie,
-    /// Where the stage brings it back.
-    goal: PlanarPose,
-}
-
-impl Visit {
-    /// The next place that is worth a look.
-    fn next(&self) -> Option<&MayLie> {
-        let next = self.at.places.get(self.looked)?;
-        match self.seen[..] {
-            [] => Some(next),
-            [seen] => (next.height >= AS_LIKELY * seen.from.height).then_some(next),
-            _ => None,
-        }
-    }
-}
+use scopeservo_scope::{Instrument, ObjectiveId};
 
 impl Reposition {
     /// Goes to the most likely place and brings the objective that looks, where there is one and that was not tried before.
@@ -75,11 +38,7 @@ impl Reposition {
         self.tell_attempt(scope, sink, from.clone(), attempt);
         let leg = Leg::Servo(at.to.clone());
         self.visited_from = Some((from.clone(), PlanarPose::from(&scope.gate().position()?)));
-        self.visit = Some(Visit {
-            at,
-            looked: 0,
-            seen: Vec::new(),
-        });
+        self.visit = Some(Visit::of(at));
         self.goes_to_next(scope)?;
         self.bring(scope, leg);
         Ok(true)
@@ -153,15 +112,7 @@ impl Reposition {
         let here = self.calibrations.get(leg.objective());
         if let (Some(visit), Some(here)) = (&mut self.visit, here) {
             let kinematics = scope.gate().info().kinematics;
-            let is_another = |seen: &Seen| {
-                let known = visit.seen.iter();
-                known
-                    .map(|k| k.beside(seen, kinematics, here))
-                    .all(|off| off.distance_um() > 1e6 * ONE_M || off.theta_rad.abs() > ONE_RAD)
-            };
-            let another = seen.filter(is_another);
-            visit.looked += 1;
-            visit.seen.extend(another);
+            visit.take(seen, kinematics, here);
         }
         Ok(None)
     }
@@ -269,30 +220,14 @@ impl Reposition {
         let Some((objective, stood)) = self.visited_from.take() else {
             return Ok(false);
         };
-        scope.select_objective(&objective)?;
         let present = scope.gate().position()?;
         scope.move_to(&stood.request(&present))?;
+        scope.select_objective(&objective)?;
         Ok(true)
     }
 }
 
-impl Seen {
-    /// Where another one lies from this one, and how it is turned, as the camera sees it.
-    fn beside(&self, other: &Self, kinematics: Kinematics, here: &Calibration) -> PoseError {
-        let there = PoseError {
-            t_m: [0.0; 2],
-            theta_rad: 0.0,
-        };
-        let motion = motion_between(kinematics, &self.goal, &other.goal);
-        let off = error_after(&there, &motion, here);
-        PoseError {
-            theta_rad: off.theta_rad.sin().atan2(off.theta_rad.cos()),
-            ..off
-        }
-    }
-}
-
-/// The same, for the answer.
+/// Where another place lies beside one, for the answer.
 fn rival(off: &PoseError, um_per_px: f64) -> Rival {
     Rival {
         target_from_view: Affine2::IDENTITY,
