@@ -62,7 +62,7 @@ export async function onBeads(browser) {
     return job;
   };
   // Their devices are simulated and say so; and what this stage cannot do is not offered.
-  assert.ok(await page.getByText("simulated", { exact: true }).isVisible());
+  await page.getByText("simulated", { exact: true }).waitFor();
   assert.equal(await page.getByRole("button", { name: /^turn / }).count(), 0, "it cannot turn");
   // A look around by hand, and into focus.
   // Not far: the beads have an end, and this stage is quick.

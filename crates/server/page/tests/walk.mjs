@@ -44,7 +44,7 @@ async function atDesk(browser, link) {
   const { page, wrong, end } = await opened(browser, link, SIZES.desk);
   await shoot(page, "desk", "live");
   await wellFormed(page, "live");
-  assert.ok(await page.getByText("simulated", { exact: true }).isVisible());
+  await page.getByText("simulated", { exact: true }).waitFor();
   // The objective, by its key; then all of a first visit.
   await page.keyboard.press("3");
   await until(page, (s) => s.objective === "40x", "the objective did not change");
@@ -54,10 +54,9 @@ async function atDesk(browser, link) {
   // Held by a key: the stage moves, and stands when the key is let go; a second time it is stopped by Escape.
   const before = (await state(page)).at;
   await page.keyboard.down("ArrowRight");
-  await page.waitForTimeout(900);
+  await until(page, ({ at }) => Math.hypot(at.x_um - before.x_um, at.y_um - before.y_um) > 5, "the key moved nothing");
   await page.keyboard.up("ArrowRight");
-  const after = (await idle(page), await state(page)).at;
-  assert.ok(Math.hypot(after.x_um - before.x_um, after.y_um - before.y_um) > 5, "the key moved nothing");
+  await idle(page);
   await page.keyboard.down("ArrowLeft");
   await page.waitForTimeout(400);
   await page.keyboard.press("Escape");
