@@ -108,6 +108,21 @@ pub(crate) fn grab(
     Ok(frame)
 }
 
+/// The same, and not once more what was seen before the last move, as of a frame that was sent twice.
+pub(crate) fn grab_from_here(
+    scope: &Instrument,
+    sink: &mut dyn Sink,
+    role: FrameRole,
+    objective: &ObjectiveId,
+) -> Result<Arc<Frame>, ServoError> {
+    let frame = grab(scope, sink, role, objective)?;
+    match scope.shows_from_before() {
+        // If that is so again, it is told as frozen.
+        true => grab(scope, sink, role, objective),
+        false => Ok(frame),
+    }
+}
+
 /// The same, and where it can be not the image that came before once more: it could not confirm that one. Also whether it is, as the camera shows nothing new
 /// for so long: it has frozen, or it has no noise, which the next move will show.
 pub(crate) fn grab_another(

@@ -2,16 +2,17 @@
 
 mod common;
 
-use common::{Bench, bench, bench_over, options};
+use common::{Bench, Listener, bench, bench_over, options};
 use scopeservo_scope::{Axis, ObjectiveId};
 use scopeservo_servo::{
-    Attempt, Bring, Calibrate, Calibration, FocusOptions, NoSink, Outcome, Procedure, Progress,
-    Reason, Remark, Reposition, RepositionOptions, SaveOptions, SaveTarget, Target, Verdict,
-    VisionOptions, run,
+    Attempt, Bring, Calibrate, Calibration, ErrorKind, Event, FocusOptions, FrameRole, NoSink,
+    Outcome, Procedure, Progress, Reason, Remark, Reposition, RepositionOptions, SaveOptions,
+    SaveTarget, Target, Verdict, VisionOptions, run,
 };
 use scopeservo_twin::specimen::{Patch, Specimen, SpecimenError, Twice};
-use scopeservo_twin::{Config, Sparse, SparseConfig, Truth};
+use scopeservo_twin::{Config, Sparse, SparseConfig, StageFault, Truth};
 use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 
 /// The place that is saved.
 const SAVED_UM: [f64; 2] = [0.0, 0.0];
@@ -111,23 +112,132 @@ fn a_few_cells_are_found_where_they_may_be_by_a_look_with_a_higher_objective() {
     assert_eq!(found, 3, "of {saved}");
 }
 
-/// A smear of which the place is not found without a look, the target and where it truly is.
+/// A smear of which the place is saved, and lies elsewhere now; the target and where it truly is.
+fn put_back(seed: u64) -> Option<(Bench, Target, Truth)> {
+    let bench = bench_over(config(), smear(seed), Vec::new());
+    let (target, truth) = save(&bench)?;
+    bench.twin.remount(SAVED_UM, [260.0, -170.0], 4.0, false);
+    Some((bench, target, truth))
+}
+
+/// The same where the place is not found without a look.
 fn hard() -> (Bench, Target, Truth) {
-    for seed in 1..=10 {
-        let bench = bench_over(config(), smear(seed), Vec::new());
-        let Some((target, truth)) = save(&bench) else {
-            continue;
-        };
-        bench.twin.remount(SAVED_UM, [260.0, -170.0], 4.0, false);
-        let outcome = run(&mut back(target.clone()), &bench.scope, &mut NoSink).unwrap();
-        if outcome.verdict == Verdict::Arrived && visited(&outcome).is_some() {
-            let bench = bench_over(config(), smear(seed), Vec::new());
-            save(&bench);
-            bench.twin.remount(SAVED_UM, [260.0, -170.0], 4.0, false);
-            return (bench, target, truth);
+    static SEED: OnceLock<u64> = OnceLock::new();
+    let needs_look = |seed: &u64| {
+        put_back(*seed).is_some_and(|(bench, target, _)| {
+            let outcome = run(&mut back(target), &bench.scope, &mut NoSink).unwrap();
+            outcome.verdict == Verdict::Arrived && visited(&outcome).is_some()
+        })
+    };
+    let seed = SEED.get_or_init(|| {
+        (1..=10)
+            .find(needs_look)
+            .expect("a place that needs a look")
+    });
+    put_back(*seed).unwrap()
+}
+
+/// Counts the looks at places, once they have begun.
+#[derive(Default)]
+struct Looks {
+    begun: bool,
+    looks: usize,
+}
+
+impl Looks {
+    /// The number of the look that this is the frame of, from 1.
+    fn of(&mut self, event: &Event) -> Option<usize> {
+        match event {
+            Event::Remarked {
+                remark:
+                    Remark::Tried {
+                        attempt: Attempt::PlacesVisited { .. },
+                        ..
+                    },
+                ..
+            } => self.begun = true,
+            Event::FrameGrabbed {
+                role: FrameRole::Servo,
+                ..
+            } if self.begun => {
+                self.looks += 1;
+                return Some(self.looks);
+            }
+            _ => {}
         }
+        None
     }
-    panic!("no place of ten needs a look");
+}
+
+/// Goes back while the camera freezes after so many looks; what was said.
+fn frozen_after(looks: usize, bench: &Bench, target: Target) -> Outcome {
+    let mut counted = Looks::default();
+    let mut frozen = false;
+    let mut freeze = Listener(|event: &Event| {
+        let look = counted.of(event);
+        if !frozen && counted.begun && look.unwrap_or(0) >= looks {
+            bench.twin.fault(StageFault::FrozenCamera(true));
+            frozen = true;
+        }
+    });
+    let outcome = run(&mut back(target), &bench.scope, &mut freeze).unwrap();
+    assert!(frozen, "{}", outcome.message);
+    outcome
+}
+
+#[test]
+fn a_camera_that_freezes_while_places_are_looked_at_is_told() {
+    let told = |outcome: &Outcome, looks: usize| {
+        let said = (outcome.verdict, outcome.reason);
+        let frozen = (Verdict::Refused, Reason::NothingMoves);
+        assert_eq!(said, frozen, "{looks}: {}", outcome.message);
+        assert!(outcome.message.contains("frozen"), "{}", outcome.message);
+    };
+    for looks in [0, 2] {
+        let (bench, target, _) = hard();
+        told(&frozen_after(looks, &bench, target), looks);
+    }
+    // What is seen at the first place is what the second one shows as well, and nothing says that it is there twice.
+    let (bench, target) = there_twice(1).unwrap();
+    told(&frozen_after(1, &bench, target), 1);
+}
+
+#[test]
+fn a_stop_while_places_are_looked_at_stands_still_and_what_was_stopped_goes_on() {
+    let (bench, target, truth) = hard();
+    let target = Arc::new(target);
+    let mut machine = back((*target).clone());
+    let mut looks = Looks::default();
+    let mut stops = 0;
+    let outcome = loop {
+        let stored = serde_json::to_string(&machine).unwrap();
+        let job = bench.scope.job_token();
+        let obeying = bench.scope.obey(&job).unwrap();
+        let mut stop = Listener(|event: &Event| {
+            // In the middle of a step: its frame is there, and what follows is refused.
+            if looks.of(event).is_some() && stops < 3 {
+                job.cancel();
+            }
+        });
+        match machine.step(&bench.scope, &mut stop) {
+            Ok(Progress::Done(outcome)) => break outcome,
+            Ok(Progress::Continue) => {}
+            Err(error) => {
+                assert_eq!(error.kind(), ErrorKind::Interruption, "{error}");
+                stops += 1;
+                drop(obeying);
+                let stands = bench.scope.gate().position().unwrap();
+                bench.scope.clock().sleep(Duration::from_secs(2));
+                assert_eq!(bench.scope.gate().position().unwrap(), stands);
+                let restored: Reposition = serde_json::from_str(&stored).unwrap();
+                machine = restored.with_target(target.clone());
+            }
+        }
+    };
+    assert!(stops > 0);
+    assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
+    let (um, deg) = bench.error_from(&truth);
+    assert!(um <= 1.5 && deg <= 0.05, "{um} um, {deg} deg");
 }
 
 #[test]
@@ -229,18 +339,23 @@ fn what_is_not_there_when_looked_at_leaves_stage_and_objective_as_the_lowest_saw
     assert!(looked >= 2, "{looked}");
 }
 
+/// A few cells that are there twice, both in view.
+fn there_twice(seed: u64) -> Option<(Bench, Target)> {
+    let size_um = [460.0, 440.0];
+    let twice = Twice::new(smear(seed), SAVED_UM, [-480.0, 60.0], size_um);
+    let bench = bench_over(config(), Arc::new(twice), Vec::new());
+    let (target, _) = save(&bench)?;
+    bench.twin.centre_specimen([-240.0, 30.0], 3.0);
+    Some((bench, target))
+}
+
 #[test]
 fn a_few_cells_that_are_there_twice_are_not_taken_for_one() {
     let mut looked = 0;
     for seed in 1..=3 {
-        let size_um = [460.0, 440.0];
-        let twice = Twice::new(smear(seed), SAVED_UM, [-480.0, 60.0], size_um);
-        let bench = bench_over(config(), Arc::new(twice), Vec::new());
-        let Some((target, _)) = save(&bench) else {
+        let Some((bench, target)) = there_twice(seed) else {
             continue;
         };
-        // Both are in view.
-        bench.twin.centre_specimen([-240.0, 30.0], 3.0);
         let outcome = run(&mut back(target), &bench.scope, &mut NoSink).unwrap();
         let said = (outcome.verdict, outcome.reason);
         let told = (Verdict::Ambiguous, Reason::Ambiguous);

@@ -3,7 +3,7 @@
 //! A place of the view may be one of the target when it has its polarity and its size. How it looks is not asked: round cells have no
 //! orientation, and descriptors that differ for that would leave out one of the few.
 
-use super::near::Near;
+use super::near::{Kinds, Near};
 use super::places::{LEAST_PLACES, Place, Places, distance_sq};
 use crate::significance::ln_choose;
 use crate::{Prior, ScalePrior};
@@ -27,6 +27,8 @@ pub(super) struct Judge<'a> {
     pub(super) radius: f64,
     /// Which places of the view may be each of the target's.
     may: Vec<Vec<bool>>,
+    /// Of which kinds these are.
+    kinds: Vec<Kinds>,
     /// How many of them there are for one of the target, on average.
     chosen: f64,
     near: Near,
@@ -68,6 +70,7 @@ impl<'a> Judge<'a> {
         let may: Vec<Vec<bool>> = (0..target.all.len())
             .map(|t| chosen(view, &target.all[t], prior, scale))
             .collect();
+        let near = Near::new(view, radius);
         let chosen = may.iter().flatten().filter(|may| **may).count() as f64;
         Some(Self {
             view,
@@ -76,8 +79,9 @@ impl<'a> Judge<'a> {
             scale,
             radius,
             chosen: chosen / target.all.len() as f64,
+            kinds: may.iter().map(|may| near.kinds_of(may)).collect(),
             may,
-            near: Near::new(view, radius),
+            near,
         })
     }
 
@@ -91,13 +95,13 @@ impl<'a> Judge<'a> {
     /// Whether a place of the view that may be this one of the target lies within the radius.
     fn is_near(&self, at: Vec2, t: usize) -> bool {
         let most = self.radius * self.radius;
-        let mut near = self.near.to(at, self.radius, self.target.all[t].bright);
+        let mut near = self.near.to(at, self.radius, self.kinds[t]);
         near.any(|i| self.may[t][i] && distance_sq(self.view.all[i].at, at) <= most)
     }
 
     /// The nearest place of the view within a radius, no larger than the judge's, that may be this one of the target.
     fn nearest(&self, at: Vec2, t: usize, radius: f64) -> Option<(f64, usize)> {
-        let near = self.near.to(at, radius, self.target.all[t].bright);
+        let near = self.near.to(at, radius, self.kinds[t]);
         let off = |i: usize| (distance_sq(self.view.all[i].at, at).sqrt(), i);
         let within = near.filter(|&i| self.may[t][i]).map(off);
         within

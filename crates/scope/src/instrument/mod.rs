@@ -132,6 +132,13 @@ impl Instrument {
         shown.1.again()
     }
 
+    /// Whether the image that [`Instrument::check_new`] saw last is the very same as one from before a move that was to change it: once it may be a
+    /// frame that was sent twice, and tells nothing of where the stage stands now.
+    pub fn shows_from_before(&self) -> bool {
+        let shown = self.shown.lock().unwrap_or_else(|e| e.into_inner());
+        shown.0.is_some_and(|last| last.is_from_before())
+    }
+
     /// [`Instrument::shows_again`] has been so for long, which a camera that froze and one that has lost its noise do alike: a move will tell. What
     /// shows another image after it lives, and its images at rest may be the same until two differ; what shows the same is told as frozen.
     pub fn doubt_camera(&self) {

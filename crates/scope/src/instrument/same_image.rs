@@ -77,6 +77,11 @@ pub(super) struct Shown {
 }
 
 impl Shown {
+    /// Whether it has come again since a move was to change it.
+    pub(super) fn is_from_before(&self) -> bool {
+        self.again > 0
+    }
+
     /// Takes the next image, with where the stage stands. Returns whether it is one that has come again too often.
     pub(super) fn comes_again(
         (last, at_rest): &mut (Option<Self>, AtRest),

@@ -1,22 +1,18 @@
 //! Where the target may lie in a view that does not say so for sure, and where the stage goes to see it with a higher objective.
 
 use super::hand_over::HandOver;
-use super::places::{MayLie, MayLieAt};
+use super::places::{LEAST_HEIGHT, MayLie, MayLieAt};
 use super::sight::View;
 use super::state::Servo;
-use super::turning::{turned_within, turning};
+use super::turning::{goal, turning};
 use crate::localize::says_nothing;
 use crate::vision::centre_px;
-use crate::{
-    Expected, Law, PlanarPose, PoseEstimate, ServoEnd, ServoError, ServoTask, motion_of,
-    pose_after, pose_error,
-};
+use crate::{Expected, Law, PlanarPose, PoseEstimate, ServoEnd, ServoError, ServoTask, pose_error};
 use scopeservo_geometry::{Affine2, Vec2};
 use scopeservo_registration::correlation::Perhaps;
 use scopeservo_scope::{Axis, Instrument, ObjectiveId};
 
-/// What is less like the target than this, or than this share of what is most like it, is not looked at,
-const LEAST_HEIGHT: f32 = 0.25;
+/// What is less like the target than [`LEAST_HEIGHT`], or than this share of what is most like it, is not looked at,
 const LEAST_SHARE: f32 = 0.7;
 /// and no more places than these are.
 const MOST: usize = 6;
@@ -99,8 +95,7 @@ pub(crate) fn leads_to(
         covariance: [[0.0; 3]; 3],
     };
     let velocity = task.velocity(&aimed, info.axis(Axis::Rz).is_some());
-    let motion = motion_of(&velocity, task.view_calibration);
-    let mut to = pose_after(info.kinematics, present, &motion);
-    to.theta_rad = turned_within(to.theta_rad, turning(scope).as_ref());
-    Some(to)
+    let turning = turning(scope);
+    let goes = (info.kinematics, turning.as_ref());
+    Some(goal(goes, present, &velocity, task.view_calibration))
 }

@@ -4,6 +4,9 @@ use crate::PlanarPose;
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 
+/// What is less like the target is not looked at; 1 for what is the same.
+pub(crate) const LEAST_HEIGHT: f32 = 0.25;
+
 /// Somewhere the target may lie.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct MayLie {

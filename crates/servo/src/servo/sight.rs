@@ -2,14 +2,14 @@
 
 use super::convergence::Measured;
 use super::pixels::Pixels;
-use super::turning::{turned_within, turning};
+use super::turning::{goal, turning};
 use crate::hand_eye::pose_sigma;
 use crate::pixels_seen::PixelsSeen;
 use crate::proof::{FixedPlaces, Station};
 use crate::vision::{centre_px, gray};
 use crate::{
     Event, Expected, Measurement, PlanarPose, PoseEstimate, Promised, ServoError, ServoTask,
-    Velocity, motion_of, pose_after, pose_estimate,
+    Velocity, pose_estimate,
 };
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::Vec2;
@@ -181,12 +181,16 @@ impl<'a> Sight<'a> {
         }
     }
 
-    /// Where the stage has to go to carry out `velocity` for one iteration: Eq. (5).
+    /// Where the stage has to go to carry out `velocity` for one iteration.
     pub(crate) fn goal(&self, velocity: &Velocity) -> StagePose {
-        let motion = motion_of(velocity, self.station.calibration);
-        let mut to = pose_after(self.station.kinematics, &self.station.pose, &motion);
-        to.theta_rad = turned_within(to.theta_rad, self.turning.as_ref());
-        to.request(&self.present)
+        let Station {
+            pose,
+            calibration,
+            kinematics,
+            ..
+        } = &self.station;
+        let goes = (*kinematics, self.turning.as_ref());
+        goal(goes, pose, velocity, calibration).request(&self.present)
     }
 
     /// The event that tells of it, with the velocity that answers it, in an iteration; whether the stage turns, and whether it passes.

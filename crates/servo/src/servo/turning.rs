@@ -1,9 +1,24 @@
-//! Which way round a rotation goes.
+//! Where the stage goes, and which way round its rotation.
 
-use scopeservo_scope::{Axis, AxisRange, Instrument};
+use crate::{Calibration, PlanarPose, Velocity, motion_of, pose_after};
+use scopeservo_scope::{Axis, AxisRange, Instrument, Kinematics};
+
+/// Where the stage has to go from somewhere to carry out `velocity` for one iteration: Eq. (5).
+pub(crate) fn goal(
+    (kinematics, turning): (Kinematics, Option<&AxisRange>),
+    from: &PlanarPose,
+    velocity: &Velocity,
+    calibration: &Calibration,
+) -> PlanarPose {
+    let to = pose_after(kinematics, from, &motion_of(velocity, calibration));
+    PlanarPose {
+        theta_rad: turned_within(to.theta_rad, turning),
+        ..to
+    }
+}
 
 /// An angle of an axis, or the one a full turn from it, whichever the axis can take: both show the same.
-pub(crate) fn turned_within(theta_rad: f64, range: Option<&AxisRange>) -> f64 {
+fn turned_within(theta_rad: f64, range: Option<&AxisRange>) -> f64 {
     let Some(range) = range else { return theta_rad };
     let holds = |theta: &f64| (range.min..=range.max).contains(theta);
     let full = std::f64::consts::TAU;

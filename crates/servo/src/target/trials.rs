@@ -4,6 +4,7 @@
 use super::Target;
 use super::quality::{LIKELY, TargetQuality, Tried, Weakness};
 use crate::localize::with_localizer;
+use crate::servo::places::LEAST_HEIGHT;
 use crate::vision::centre_px;
 use crate::{Expected, FixedPlaces, ServoError, VisionOptions};
 use scopeservo_features::{FeatureError, Features, GrayImage, Keypoint, noise_sigma};
@@ -29,9 +30,8 @@ const ASIDE: f64 = 0.15;
 const TURNED_RAD: f64 = 0.03;
 /// A view is found when all corners of the target land within this of where they are, target pixels.
 const RIGHT_PX: f64 = 12.0;
-/// Where a target may lie, it does when its middle is within this of there, pixels of the view, and when it is so like itself; 1 for the same.
+/// Where a target may lie, it does when its middle is within this of there, pixels of the view.
 const LIKELY_PX: f64 = 6.0;
-const LIKELY_HEIGHT: f32 = 0.3;
 /// Features are counted in so many squares along the shorter side.
 const SQUARES: usize = 8;
 /// What lies within less of the image than this lies in a corner; features on less of it are few.
@@ -302,7 +302,7 @@ impl Made {
         let seen = first.target_from_view.apply(view_from_target.apply(centre));
         let ratio = self.prior.scale.map_or(1.0, |s| s.ratio);
         let off_px = f64::hypot(seen[0] - centre[0], seen[1] - centre[1]) / ratio;
-        first.height >= LIKELY_HEIGHT && off_px <= LIKELY_PX
+        first.height >= LEAST_HEIGHT && off_px <= LIKELY_PX
     }
 
     fn expected<'a>(&self, fixed: &'a FixedPlaces) -> Expected<'a> {

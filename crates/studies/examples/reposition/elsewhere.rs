@@ -1,7 +1,7 @@
 //! Runs to a view that is not there: another slide lies under the objective, or the other section of a series, or a field beside, or blank glass, or the
 //! slide lies upside down. None may arrive.
 
-use crate::many::{EACH, Many};
+use crate::many::{EACH, Many, is_named};
 use crate::scene::{Bench, Known, draw, of};
 use crate::whole::{Start, Watch, apart, begin, word};
 use scopeservo_geometry::SplitMix64;
@@ -62,7 +62,7 @@ impl Record {
 }
 
 /// Makes the runs, their table and their page; returns how many answers were wrong.
-pub(crate) fn study(many: &Many<'_>, named: &str, known: &[Known]) -> Outcome<usize> {
+pub(crate) fn study(many: &Many<'_>, named: &[String], known: &[Known]) -> Outcome<usize> {
     let one = |index: u64, trace: bool| run(index, known, trace);
     if let Some(index) = many.only {
         println!("{}", serde_json::to_string_pretty(&one(index, true)?)?);
@@ -71,7 +71,7 @@ pub(crate) fn study(many: &Many<'_>, named: &str, known: &[Known]) -> Outcome<us
     // Without slides there is no other one, and no series.
     let has_slides = std::env::var_os("SCOPESERVO_SPECIMENS").is_some();
     let asked = EACH_SHOWN.iter().enumerate().filter(|(_, (shown, name))| {
-        name.contains(named) && (has_slides || *shown != Shown::Serial)
+        is_named(name, named) && (has_slides || *shown != Shown::Serial)
     });
     let numbers = many.numbers(asked.map(|(k, _)| k));
     let path = many.out.join("elsewhere.jsonl");

@@ -56,9 +56,9 @@ enum Study {
         /// When it breaks.
         #[arg(long, value_enum, default_value = "fixed")]
         when: faults::When,
-        /// Only those whose names have this in them.
-        #[arg(long, default_value = "")]
-        named: String,
+        /// Only those whose names have one of these in them.
+        #[arg(long)]
+        named: Vec<String>,
     },
     /// The view is disturbed, in one way or in two, after it was saved: is it found, and how well?
     Disturbance {
@@ -68,15 +68,15 @@ enum Study {
         /// Of the pairs each with one objective by turns, in place of all three: every two of ways and objectives meet.
         #[arg(long, requires = "pairs")]
         covering: bool,
-        /// Only those whose names have this in them.
-        #[arg(long, default_value = "")]
-        named: String,
+        /// Only those whose names have one of these in them.
+        #[arg(long)]
+        named: Vec<String>,
     },
     /// The view is not there: another slide, the other section of a series, a field beside, blank glass, the slide upside down. Does any run arrive?
     Elsewhere {
-        /// Only those whose names have this in them.
-        #[arg(long, default_value = "")]
-        named: String,
+        /// Only those whose names have one of these in them.
+        #[arg(long)]
+        named: Vec<String>,
     },
     /// The paper's repeated repositioning: its law and direct control from the same starts, focus and calibration reused.
     Montecarlo,

@@ -21,3 +21,8 @@ impl Many<'_> {
         (0..self.count).flat_map(nth).collect()
     }
 }
+
+/// Whether it is one of those that were asked for.
+pub(crate) fn is_named(name: &str, named: &[String]) -> bool {
+    named.is_empty() || named.iter().any(|part| name.contains(part.as_str()))
+}

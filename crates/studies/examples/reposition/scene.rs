@@ -10,9 +10,10 @@ use scopeservo_servo::{
 use scopeservo_studies::rounds::Outcome;
 use scopeservo_twin::specimen::{FileSpecimen, Specimen, Tissue};
 use scopeservo_twin::{Config, StageConfig, Twin};
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Slides, um per pixel, and half of what of them is tissue, um.
 const SLIDES: [(&str, f64, f64); 5] = [
@@ -107,16 +108,25 @@ impl Scene {
         Ok(Self::specimen_of((self.specimen + step) % (SLIDES.len() + 1))?.1)
     }
 
+    /// Read once, and what of it was painted serves all runs.
     fn specimen_of(number: usize) -> Outcome<(String, Arc<dyn Specimen>)> {
+        static KNOWN: Mutex<BTreeMap<usize, (String, Arc<dyn Specimen>)>> =
+            Mutex::new(BTreeMap::new());
+        let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(one) = known.get(&number) {
+            return Ok(one.clone());
+        }
         let folder = std::env::var_os("SCOPESERVO_SPECIMENS");
-        match (number, folder) {
+        let one: (String, Arc<dyn Specimen>) = match (number, folder) {
             (k, Some(folder)) if k > 0 => {
                 let (name, um_per_px, _) = SLIDES[k - 1];
                 let slide = FileSpecimen::open(&Path::new(&folder).join(name), Some(um_per_px))?;
-                Ok((name.into(), Arc::new(slide)))
+                (name.into(), Arc::new(slide))
             }
-            (k, _) => Ok((format!("tissue {k}"), Arc::new(Tissue::new(k as u64 + 1)))),
-        }
+            (k, _) => (format!("tissue {k}"), Arc::new(Tissue::new(k as u64 + 1))),
+        };
+        known.insert(number, one.clone());
+        Ok(one)
     }
 }
 

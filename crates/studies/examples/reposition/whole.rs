@@ -1,14 +1,17 @@
 //! One run, and what it came to. The truth only judges.
 
 use crate::scene::{Bench, Scene};
-use scopeservo_scope::{Frame, ObjectiveId};
+use scopeservo_scope::{Frame, ObjectiveId, StagePose};
 use scopeservo_servo::{
     Bring, Calibration, Event, FocusOptions, FrameRole, Phase, Reposition, RepositionOptions,
-    SaveOptions, SaveTarget, Sink, Stamped, Target, Verdict, VisionOptions, run as steps,
+    SaveOptions, SaveTarget, ServoError, Sink, Stamped, Target, Verdict, VisionOptions,
+    run as steps,
 };
 use scopeservo_studies::rounds::Outcome;
 use scopeservo_twin::{Truth, Twin};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// What one run came to.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -166,39 +169,104 @@ pub(crate) struct Start {
     pub(crate) aim: Truth,
 }
 
+/// Brings an objective into focus.
+fn bring(bench: &Bench, id: &str, watch: &mut Watch<'_>) -> Result<(), ServoError> {
+    let focus = Some(FocusOptions::default());
+    let id = ObjectiveId(id.into());
+    let mut bring = Bring::new(id, focus, VisionOptions::default());
+    steps(&mut bring, &bench.scope, watch).map(|_| ())
+}
+
+/// A camera is late by fewer images than these.
+const LATEST: usize = 4;
+
+/// A saved view.
+#[derive(Clone)]
+pub(crate) struct Saved {
+    target: Target,
+    aim: Truth,
+    /// Where the stage stood.
+    stood: StagePose,
+}
+
+impl Saved {
+    /// The inner result has the reason why nothing was saved.
+    fn of(scene: &Scene, bench: &Bench) -> Outcome<Result<Self, String>> {
+        let mut watch = Watch::default();
+        bench.twin.centre_specimen(scene.target_um, 0.0);
+        for id in scene.focused_before {
+            bring(bench, id, &mut watch)?;
+        }
+        let saved = bring(bench, scene.saved_with, &mut watch).and_then(|()| {
+            let mut save = SaveTarget::new(SaveOptions::default());
+            steps(&mut save, &bench.scope, &mut watch)
+        });
+        let target = match saved {
+            Ok(target) => target,
+            Err(refusal) => return Ok(Err(refusal.to_string())),
+        };
+        let aim = watch.target.and_then(|s| bench.twin.truth(s));
+        let aim = aim.ok_or("the twin forgot the target")?;
+        let stood = bench.scope.gate().position()?;
+        Ok(Ok(Self { target, aim, stood }))
+    }
+
+    /// Puts the slide back elsewhere, on the instrument where it was saved.
+    fn put_back(self, scene: &Scene, bench: Bench) -> Outcome<Start> {
+        if scene.begins_with != scene.saved_with {
+            bring(&bench, scene.begins_with, &mut Watch::default())?;
+        }
+        let [x, y] = scene.start_um;
+        let (s, c) = scene.turn_deg.to_radians().sin_cos();
+        let shift_um = [s * y - c * x, -s * x - c * y];
+        bench
+            .twin
+            .remount(scene.target_um, shift_um, scene.turn_deg, false);
+        let Self { target, aim, .. } = self;
+        Ok(Start { bench, target, aim })
+    }
+
+    /// The same on another instrument of this kind, which is brought to where it was saved.
+    pub(crate) fn put_on(self, scene: &Scene, bench: Bench) -> Outcome<Start> {
+        bench.twin.centre_specimen(scene.target_um, 0.0);
+        let objective = ObjectiveId(scene.saved_with.into());
+        bench.scope.select_objective(&objective)?;
+        bench.scope.move_to(&self.stood)?;
+        // A camera that is late shows what it saw before.
+        for _ in 0..LATEST {
+            bench.scope.grab()?;
+        }
+        self.put_back(scene, bench)
+    }
+}
+
 /// Saves, and puts the slide back elsewhere. The inner result has the reason why nothing was saved.
 pub(crate) fn begin(scene: &Scene, bench: Bench) -> Outcome<Result<Start, String>> {
-    let mut watch = Watch::default();
-    let bring = |id: &str, watch: &mut Watch<'_>| {
-        let id = ObjectiveId(id.into());
-        let focus = Some(FocusOptions::default());
-        let mut bring = Bring::new(id, focus, VisionOptions::default());
-        steps(&mut bring, &bench.scope, watch)
-    };
-    bench.twin.centre_specimen(scene.target_um, 0.0);
-    for id in scene.focused_before {
-        bring(id, &mut watch)?;
+    Ok(match Saved::of(scene, &bench)? {
+        Ok(saved) => Ok(saved.put_back(scene, bench)?),
+        Err(refusal) => Err(refusal),
+    })
+}
+
+/// Views that were saved, by the number of their scene: each is saved once, however many runs come back to it.
+#[derive(Default)]
+pub(crate) struct Saves(Mutex<BTreeMap<u64, Arc<Save>>>);
+
+type Save = Mutex<Option<Result<Saved, String>>>;
+
+impl Saves {
+    /// The view of a scene. The inner result has the reason why nothing was saved.
+    pub(crate) fn of(&self, number: u64, scene: &Scene) -> Outcome<Result<Saved, String>> {
+        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let one = Arc::clone(all.entry(number).or_default());
+        drop(all);
+        let mut one = one.lock().unwrap_or_else(PoisonError::into_inner);
+        if one.is_none() {
+            let bench = Bench::new((scene.kind, scene.seed), scene.noise, scene.specimen()?.1)?;
+            *one = Some(Saved::of(scene, &bench)?);
+        }
+        one.clone().ok_or_else(|| "nothing was saved".into())
     }
-    let saved = bring(scene.saved_with, &mut watch).and_then(|_| {
-        let mut save = SaveTarget::new(SaveOptions::default());
-        steps(&mut save, &bench.scope, &mut watch)
-    });
-    let target = match saved {
-        Ok(target) => target,
-        Err(refusal) => return Ok(Err(refusal.to_string())),
-    };
-    let aim = watch.target.and_then(|s| bench.twin.truth(s));
-    let aim = aim.ok_or("the twin forgot the target")?;
-    if scene.begins_with != scene.saved_with {
-        bring(scene.begins_with, &mut watch)?;
-    }
-    let [x, y] = scene.start_um;
-    let (s, c) = scene.turn_deg.to_radians().sin_cos();
-    let shift_um = [s * y - c * x, -s * x - c * y];
-    bench
-        .twin
-        .remount(scene.target_um, shift_um, scene.turn_deg, false);
-    Ok(Ok(Start { bench, target, aim }))
 }
 
 /// Saves, puts the slide back elsewhere, and comes back.

@@ -8,7 +8,7 @@ use super::super::{Leg, MagnificationResult, Outcome};
 use super::{Reposition, State, Work};
 use crate::event::tell;
 use crate::servo::may_lie::leads_to;
-use crate::vision::{grab, gray};
+use crate::vision::{grab_from_here, gray};
 use crate::{
     Attempt, ErrorCode, Event, Expected, FixedPlaces, FrameRole, PlanarPose, PoseError, ServoEnd,
     ServoError, ServoTask, Sink, Target,
@@ -126,7 +126,7 @@ impl Reposition {
         (leg, number): (&Leg, usize),
     ) -> Result<Option<PlanarPose>, ServoError> {
         let objective = leg.objective();
-        let frame = grab(scope, sink, FrameRole::Servo, objective)?;
+        let frame = grab_from_here(scope, sink, FrameRole::Servo, objective)?;
         let view = gray(scope, &frame)?;
         let at_target = self.target_calibration(target);
         let calibrations = self.calibrations.get(objective).zip(at_target.as_ref());

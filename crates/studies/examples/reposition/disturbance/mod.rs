@@ -4,7 +4,7 @@ mod camera;
 mod kinds;
 mod table;
 
-use crate::many::{EACH, Many};
+use crate::many::{EACH, Many, is_named};
 use crate::scene::{Bench, Known, Scene, draw, of};
 use crate::whole::{Start, Watch, apart, begin, word};
 use camera::Disturbed;
@@ -99,7 +99,7 @@ fn cases(pairs: bool) -> Vec<Case> {
 /// Makes the runs, their tables and their page; returns how many answers were wrong.
 pub(crate) fn study(
     many: &Many<'_>,
-    (pairs, covering, named): (bool, bool, &str),
+    (pairs, covering, named): (bool, bool, &[String]),
     known: &[Known],
 ) -> Outcome<usize> {
     let cases = cases(pairs);
@@ -113,7 +113,7 @@ pub(crate) fn study(
         .iter()
         .enumerate()
         .filter(|(_, c)| c.covers || !covering)
-        .filter(|(_, c)| c.name().contains(named));
+        .filter(|(_, c)| is_named(&c.name(), named));
     let numbers = many.numbers(asked.map(|(k, _)| k));
     let name = if pairs {
         "disturbance-pairs"

@@ -6,8 +6,9 @@ mod page;
 mod random;
 mod run;
 
-use crate::many::{EACH, Many};
+use crate::many::{EACH, Many, is_named};
 use crate::scene::Known;
+use crate::whole::Saves;
 use clap::ValueEnum;
 use run::Record;
 use scopeservo_studies::rounds::{Outcome, rounds};
@@ -27,7 +28,7 @@ pub(crate) enum When {
 /// Makes the runs, their table and their page; returns how many ended as none may.
 pub(crate) fn study(
     many: &Many<'_>,
-    (when, named): (When, &str),
+    (when, named): (When, &[String]),
     known: &[Known],
 ) -> Outcome<usize> {
     match when {
@@ -37,7 +38,11 @@ pub(crate) fn study(
     }
     let kinds = kinds::all();
     let of = |index: u64| &kinds[(index / EACH) as usize];
-    let one = |index: u64, trace: bool| run::run(of(index), index, index % EACH, known, trace);
+    let saves = Saves::default();
+    let one = |index: u64, trace: bool| {
+        let scene = (index % EACH, &saves);
+        run::run(of(index), index, scene, known, trace)
+    };
     if let Some(index) = many.only {
         println!("{}", serde_json::to_string_pretty(&one(index, true)?)?);
         return Ok(0);
@@ -45,7 +50,7 @@ pub(crate) fn study(
     let asked = kinds
         .iter()
         .enumerate()
-        .filter(|(_, k)| k.name.contains(named));
+        .filter(|(_, k)| is_named(k.name, named));
     let numbers = many.numbers(asked.map(|(k, _)| k));
     let path = many.out.join("faults.jsonl");
     let records = rounds(

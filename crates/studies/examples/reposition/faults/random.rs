@@ -4,7 +4,7 @@
 //! breaks it, so that no step of the run protects from it.
 
 use super::any_time::{KINDS, Kind};
-use crate::many::{EACH, Many};
+use crate::many::{EACH, Many, is_named};
 use crate::scene::{Bench, Known, draw, of};
 use crate::whole::{apart, begin, word};
 use scopeservo_geometry::SplitMix64;
@@ -244,7 +244,7 @@ fn run(
 pub(super) fn study(
     many: &Many<'_>,
     (when, last): (&str, f64),
-    named: &str,
+    named: &[String],
     known: &[Known],
 ) -> Outcome<usize> {
     let whole = |k: u64| run((&KINDS[0], k, 2.0), 1e3, known, false);
@@ -263,7 +263,7 @@ pub(super) fn study(
     let wholes = rounds(&file("whole"), &scenes, many.threads, index, whole)?;
     let saved = wholes.iter().filter(|r| r.verdict != "refused_at_saving");
     let lengths: BTreeMap<u64, f64> = saved.map(|r| (r.index, r.seconds)).collect();
-    let asked = (1..KINDS.len()).filter(|k| KINDS[*k].name.contains(named));
+    let asked = (1..KINDS.len()).filter(|k| is_named(KINDS[*k].name, named));
     let scenes: Vec<u64> = lengths.keys().copied().collect();
     let numbers: Vec<u64> = asked
         .flat_map(|k| scenes.iter().map(move |n| k as u64 * EACH + n))

@@ -2,7 +2,7 @@
 
 use super::kinds::{Ends, Kind, What, When};
 use crate::scene::{Bench, Known, draw, of};
-use crate::whole::{Start, apart, begin, word};
+use crate::whole::{Saves, Start, apart, word};
 use scopeservo_geometry::SplitMix64;
 use scopeservo_scope::{Axis, AxisRange, CancelToken, Frame, Instrument, Limits, Rules, StagePose};
 use scopeservo_servo::{
@@ -203,15 +203,16 @@ fn limited(start: &Start) -> Outcome<Instrument> {
     Ok(Instrument::new(twin.devices(), rules, CancelToken::new())?)
 }
 
-/// Saves, puts the slide back elsewhere, and comes back while something is broken.
+/// Puts the slide of a saved view back elsewhere, and comes back while something is broken.
 pub(crate) fn run(
     kind: &Kind,
     index: u64,
-    scene: u64,
+    (scene, saves): (u64, &Saves),
     known: &[Known],
     trace: bool,
 ) -> Outcome<Record> {
-    let scene = draw(scene);
+    let number = scene;
+    let scene = draw(number);
     let (specimen, slide) = scene.specimen()?;
     let mut record = Record {
         index,
@@ -221,8 +222,8 @@ pub(crate) fn run(
         ..Record::default()
     };
     let bench = Bench::new((scene.kind, scene.seed), scene.noise, slide)?;
-    let start = match begin(&scene, bench)? {
-        Ok(start) => start,
+    let start = match saves.of(number, &scene)? {
+        Ok(saved) => saved.put_on(&scene, bench)?,
         Err(refusal) => {
             (record.verdict, record.message) = ("refused_at_saving".into(), refusal);
             return Ok(record);
