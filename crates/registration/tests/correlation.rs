@@ -214,6 +214,32 @@ fn a_lattice_and_two_equal_places_are_never_told_as_one() {
         let [x, y] = rival.shift_px;
         assert!((f64::hypot(x, y) - 1200.0).abs() < 2.0, "{x} {y}");
     }
+    // Whichever of the two is found otherwise, the other one looks like it.
+    for x in [-600.0, 600.0] {
+        let found = truth(&view_from_scene(4.0, 5.0, [-x, 0.0]));
+        let alike = told.look_alikes(&found, SIZE);
+        let [by_x, by_y] = alike[0].shift_px;
+        let off = (f64::hypot(by_x, by_y) - 1200.0).abs();
+        assert!(alike.len() == 1 && off < 40.0, "{x}: {alike:?}");
+    }
+}
+
+#[test]
+fn a_place_of_which_half_is_in_view_has_no_look_alikes_in_what_is_less_like_it() {
+    let mut others = 0;
+    for seed in 0..6 {
+        let scene = tissue(60 + seed, 4.0);
+        let target = scene.frame(SIZE, &target_from_scene(), 0.008, 1);
+        // The target's middle lies at the edge.
+        let view_from_scene = view_from_scene(4.0, 30.0 * seed as f64, [1270.0, 0.0]);
+        let view = scene.frame(SIZE, &view_from_scene, 0.008, 2);
+        let told = seen((&view, None), (&target, None), 4.0, None);
+        let found = truth(&view_from_scene);
+        let alike = told.look_alikes(&found, SIZE);
+        assert!(alike.is_empty(), "{seed}: {alike:?}");
+        others += told.perhaps.len();
+    }
+    assert!(others > 20, "{others}");
 }
 
 /// Thirty soft shadows of 15 %, fixed to the sensor.

@@ -160,6 +160,44 @@ fn moves_that_the_image_contradicts_stop_the_run_and_are_named() {
 }
 
 /// A calibration by two steps, or of an earlier version, does not know it.
+/// Where its centre lies 125 mm away, what goes with a turn takes the target out of view when the rotation stands.
+#[test]
+fn a_rotation_far_from_its_centre_that_stands_is_named_however_near_the_target_lay() {
+    let bench = || bench_over(one_objective(), Arc::new(Tissue::new(7)), Vec::new());
+    let known = {
+        let bench = bench();
+        bench.save();
+        let objective = bench.scope.gate().objectives()[0].clone();
+        let mut calibrate =
+            Calibrate::new(objective, options().calibrate, VisionOptions::default());
+        run(&mut calibrate, &bench.scope, &mut NoSink).unwrap()
+    };
+    for (shift_um, turned_deg) in [
+        ([1.5, -1.0], 1.2),
+        ([3.0, 2.0], -4.0),
+        ([38.0, -45.0], 3.0),
+        ([-45.0, -20.0], -0.8),
+        ([20.0, 45.0], 2.0),
+    ] {
+        let bench = bench();
+        let (target, _) = bench.save();
+        bench.twin.remount(PLACE_UM, shift_um, turned_deg, false);
+        let axis = Axis::Rz;
+        bench
+            .twin
+            .fault(StageFault::StuckAxis { axis, stuck: true });
+        let known = [(known.objective.clone(), known.clone())];
+        let mut reposition = Reposition::new(target, options()).with_calibrations(known);
+        let outcome = run(&mut reposition, &bench.scope, &mut NoSink).unwrap();
+        assert_eq!(
+            why(&outcome),
+            Some(Contradiction::AxisStands(Axis::Rz)),
+            "{shift_um:?} {turned_deg}: {}",
+            outcome.message
+        );
+    }
+}
+
 #[test]
 fn play_that_no_calibration_knows_is_not_taken_for_an_axis_that_stands() {
     let mut unaware = calibration();

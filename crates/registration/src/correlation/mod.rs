@@ -72,7 +72,8 @@ pub struct Correlation {
 }
 
 impl Correlation {
-    /// What is nearly as like the target as anything, beside a transform that was found otherwise: rivals on which the pixels are to be asked.
+    /// What is nearly as like the target as anything, beside a transform that was found otherwise: rivals on which the pixels are to be asked. None
+    /// where that one is not as like it itself, as of a target of which half is in view: then this says nothing.
     pub fn look_alikes(&self, first: &Affine2, target_size: [usize; 2]) -> Vec<Rival> {
         let Some(view_from_target) = first.inverse() else {
             return Vec::new();
@@ -84,16 +85,20 @@ impl Correlation {
             .perhaps
             .iter()
             .filter(|p| p.height >= AS_HIGH[1] * highest);
-        let rival = |perhaps: &Perhaps| {
-            let rival = Rival::beside(first, &perhaps.target_from_view, middle, [0, 1])?;
-            let shift_px = f64::hypot(rival.shift_px[0], rival.shift_px[1]);
-            let elsewhere = shift_px > ELSEWHERE_PX * px || rival.turn_rad.abs() > ELSEWHERE_RAD;
-            elsewhere.then_some(Rival {
-                significant: true,
-                ..rival
-            })
+        let beside = |p: &Perhaps| Rival::beside(first, &p.target_from_view, middle, [0, 1]);
+        let (elsewhere, here): (Vec<Rival>, Vec<Rival>) =
+            alike.filter_map(beside).partition(|rival| {
+                let shift_px = f64::hypot(rival.shift_px[0], rival.shift_px[1]);
+                shift_px > ELSEWHERE_PX * px || rival.turn_rad.abs() > ELSEWHERE_RAD
+            });
+        if here.is_empty() {
+            return Vec::new();
+        }
+        let significant = |rival| Rival {
+            significant: true,
+            ..rival
         };
-        alike.filter_map(rival).collect()
+        elsewhere.into_iter().map(significant).collect()
     }
 }
 

@@ -4,10 +4,9 @@
 //! frame: the proof by motion asks of them what it asks of features. What else looks like the target is told as a rival.
 
 use super::{Expected, FeatureLocalizer, Localizer, Measurement, says_nothing};
-use crate::vision::centre_px;
 use crate::{FixedPlaces, LocatedBy, ServoError, Target, VisionOptions};
 use scopeservo_features::{GrayImage, Mask};
-use scopeservo_geometry::{Affine2, Vec2};
+use scopeservo_geometry::Vec2;
 use scopeservo_registration::correlation::{Correlation, Perhaps, Picture, correlate};
 use scopeservo_registration::{NotFound, Prior, Rival};
 use std::borrow::Cow;
@@ -67,14 +66,6 @@ impl CorrelationLocalizer<'_> {
     }
 }
 
-/// Whether the middle of the target lies in the view: of one that is hardly there most is like something else.
-fn holds_middle(target_from_view: &Affine2, target: &Target, view: &GrayImage) -> bool {
-    let middle = centre_px(target.features.width, target.features.height);
-    let lies = target_from_view.inverse().map(|t| t.apply(middle));
-    let size = [view.width(), view.height()];
-    lies.is_some_and(|p| (0..2).all(|k| p[k] >= 0.0 && p[k] < size[k] as f64))
-}
-
 /// The same at any angle.
 fn anywhere<'a>(expected: &Expected<'a>) -> Expected<'a> {
     let prior = Prior {
@@ -120,7 +111,6 @@ impl Localizer for CorrelationLocalizer<'_> {
             Ok(mut measured) => {
                 let found = measured.estimate.target_from_view;
                 if found.linear.det().abs() >= LOWER * LOWER
-                    && holds_middle(&found, target, view)
                     && let Some(seen) = self.correlated(target, view, &anywhere(expected))
                 {
                     let size = [target.features.width, target.features.height];

@@ -130,10 +130,12 @@ impl Servo {
         let known = self.watch.remarks().len();
         let scaled = self.scaled(task, sight);
         let view_m = 1e-6 * task.view_calibration.um_per_px();
+        // A step that only shows what moves do leads nowhere.
+        let led_nowhere = self.watch.is_wary();
         let kept = self
             .watch
             .see(&sight.located.pose, &task.mover(scope), view_m);
-        if kept.is_some_and(|kept| kept != Kept::Yes) {
+        if led_nowhere || kept.is_some_and(|kept| kept != Kept::Yes) {
             // Divergence counts from what the next move finds.
             self.convergence.begin_anew();
         }

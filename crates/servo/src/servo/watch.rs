@@ -243,7 +243,8 @@ impl Watch {
         !self.is_wary() && self.broken.is_none()
     }
 
-    fn is_wary(&self) -> bool {
+    /// Whether a move was lost, and the next ones are small and only show what moves do.
+    pub(crate) fn is_wary(&self) -> bool {
         matches!(self.trust, Trust::Shift | Trust::Turn)
     }
 
@@ -266,9 +267,14 @@ impl Watch {
                 // The view stays there whether the rotation stands, or x and y that go with it, or the centre is elsewhere.
                 let centre_m = view.rotation_centre_m.unwrap_or_default();
                 let lever_m = f64::hypot(centre_m[0], centre_m[1]).max(DRIFTED_CENTRE_M);
-                Velocity {
-                    theta_rad: theta_rad.signum() * theta_rad.abs().min(reach_m / lever_m),
-                    ..velocity
+                let most_rad = reach_m / lever_m;
+                match theta_rad.abs() > most_rad {
+                    // It turns and does nothing else: what it leaves is seen for what it is.
+                    true => Velocity {
+                        t_m: [0.0; 2],
+                        theta_rad: theta_rad.signum() * most_rad,
+                    },
+                    false => velocity,
                 }
             }
         }
