@@ -103,7 +103,7 @@ pub struct Outcome {
     /// What was seen of the instrument, and went on: a calibration that has drifted, a move that did something else.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub remarks: Vec<Remark>,
-    /// Width and height of the widest view, um on the specimen: what looks the same farther away could not be seen.
+    /// Width and height of the widest view in which the target was seen, um on the specimen: what looks the same farther away could not be.
     #[serde(default)]
     pub unique_within_um: Option<[f64; 2]>,
     /// Every magnification that was servoed, in order.

@@ -288,7 +288,7 @@ impl Reposition {
             }
         };
         // A run that goes on after a kill may find another objective than it left, or one that nobody has looked at.
-        if !matches!(work, Work::Bring(_))
+        if !matches!(work, Work::Bring(_) | Work::Visit)
             && (scope.gate().current_objective()?.as_ref() != Some(leg.objective())
                 || scope.gate().objective_is_reported())
         {

@@ -187,7 +187,8 @@ impl Servo {
         };
         // What a move has lost is looked for where it began.
         let may = self.convergence.iteration < task.options.max_iterations;
-        let Some((before, error)) = self.watch.turns_back().filter(|_| may) else {
+        let back = may.then(|| self.watch.turns_back()).flatten();
+        let Some((before, error)) = back else {
             let end = self.gone(end);
             let end = self.or_mirrored(task, view, end)?;
             self.may_lie_at = self.may_lie(task, scope, view, &end)?;

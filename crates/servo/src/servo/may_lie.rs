@@ -1,28 +1,27 @@
 //! Where the target may lie in a view that does not say so for sure, and where the stage goes to see it with a higher objective.
 
-use super::hand_over::HandOver;
 use super::places::{LEAST_HEIGHT, MayLie, MayLieAt};
 use super::sight::View;
 use super::state::Servo;
 use super::turning::{goal, turning};
 use crate::localize::says_nothing;
 use crate::vision::centre_px;
-use crate::{Expected, Law, PlanarPose, PoseEstimate, ServoEnd, ServoError, ServoTask, pose_error};
-use scopeservo_geometry::{Affine2, Vec2};
+use crate::{
+    Expected, HandOver, Law, PlanarPose, PoseError, PoseEstimate, ServoEnd, ServoError, ServoTask,
+    Velocity, control_law, pose_error,
+};
+use scopeservo_geometry::Affine2;
 use scopeservo_registration::correlation::Perhaps;
 use scopeservo_scope::{Axis, Instrument, ObjectiveId};
 
-/// What is less like the target than [`LEAST_HEIGHT`], or than this share of what is most like it, is not looked at,
+/// What is less like the target than [`LEAST_HEIGHT`], or than this share of what is most like it, is not looked at.
 const LEAST_SHARE: f32 = 0.7;
-/// and no more places than these are.
-const MOST: usize = 6;
-/// Such a place is known to this, standard deviation, pixels of the view.
+/// Such a place is known to this, standard deviations, pixels of the view and rad.
 const PLACE_PX: f64 = 3.0;
-/// So many standard deviations are sure.
-const SIGMAS: f64 = 3.0;
+const PLACE_RAD: f64 = 0.02;
 
 impl Servo {
-    /// Where the target may lie after it was not found: within the stage's reach, and by what another objective of the same medium sees.
+    /// Where the target may lie after it was not found, by what another objective of the same medium sees.
     pub(crate) fn may_lie(
         &self,
         task: &ServoTask<'_>,
@@ -36,14 +35,10 @@ impl Servo {
         }
         let medium = |id: &ObjectiveId| scope.objective(id).map(|o| o.immersion);
         let here = medium(task.objective())?;
-        let place_m = 1e-6 * PLACE_PX * task.view_calibration.um_per_px();
-        let sees = |over: &&HandOver| {
-            medium(&over.to).is_ok_and(|there| there == here)
-                && SIGMAS * f64::hypot(place_m, over.change_m) <= over.within_m
-        };
-        let Some(over) = task.hand_overs.iter().find(sees) else {
+        let of_same = |over: &&HandOver| medium(&over.to).is_ok_and(|there| there == here);
+        if !task.hand_overs.iter().any(|over| of_same(&over)) {
             return Ok(None);
-        };
+        }
         let looked = Expected {
             prior: task.before_any_frame(),
             fixed: &self.proof.fixed,
@@ -51,51 +46,88 @@ impl Servo {
         let all = task.perhaps(&view.image, &looked);
         let highest = all.first().map_or(0.0, |first| first.height);
         let likely = |p: &&Perhaps| p.height >= LEAST_HEIGHT.max(LEAST_SHARE * highest);
-        let (goals, present) = (scope.gate().goals()?, scope.gate().position()?);
+        let place_m = 1e-6 * PLACE_PX * task.view_calibration.um_per_px();
+        let variances = [place_m, place_m, PLACE_RAD].map(|sigma| sigma * sigma);
         let size = [view.image.width(), view.image.height()];
-        let mut places = Vec::new();
-        for perhaps in all.iter().filter(likely).take(MOST) {
-            let seen = (&perhaps.target_from_view, size);
-            let to = leads_to(task, scope, seen, over.aim_m, &PlanarPose::from(&present));
-            let stage = to.filter(|to| goals.allow(&to.request(&present)));
-            places.extend(stage.map(|stage| MayLie {
-                stage,
-                height: perhaps.height,
-            }));
-        }
-        Ok((!places.is_empty()).then(|| MayLieAt {
+        let estimate = |p: &Perhaps| {
+            let mut covariance = [[0.0; 3]; 3];
+            (0..3).for_each(|k| covariance[k][k] = variances[k]);
+            let error = error_of(task, (&p.target_from_view, size))?;
+            Some((PoseEstimate { error, covariance }, p.height))
+        };
+        let likely: Vec<(PoseEstimate, f32)> =
+            all.iter().filter(likely).filter_map(estimate).collect();
+        let turns = scope.gate().info().axis(Axis::Rz).is_some();
+        // The highest that surely sees the most likely place.
+        let first = likely.first().map(|(estimate, _)| estimate);
+        let sees = |over: &&HandOver| first.is_some_and(|e| over.step(task, e, turns).is_some());
+        let Some(over) = task.hand_overs.iter().filter(of_same).find(sees) else {
+            return Ok(None);
+        };
+        let (goals, present) = (scope.gate().goals()?, scope.gate().position()?);
+        let mut at = MayLieAt {
             to: over.to.clone(),
-            places,
-        }))
+            places: Vec::new(),
+            beyond: Vec::new(),
+        };
+        for (estimate, height) in likely {
+            let step = over
+                .step(task, &estimate, turns)
+                .map(|(velocity, _)| velocity);
+            let velocity = step.unwrap_or_else(|| whole(&estimate.error, turns));
+            let stage = goes(task, scope, &velocity, &PlanarPose::from(&present));
+            let place = MayLie { stage, height };
+            match step.is_some() && goals.allow(&stage.request(&present)) {
+                true => at.places.push(place),
+                false => at.beyond.push(place),
+            }
+        }
+        Ok((!at.places.is_empty()).then_some(at))
     }
 }
 
-/// Where the stage goes for what is seen in a view from `present`, of so many pixels, to lie as the target was saved, or beside that by `aim_m`.
+/// Where the stage goes for what is seen in a view from `present`, of so many pixels, to lie as the target was saved.
 pub(crate) fn leads_to(
     task: &ServoTask<'_>,
     scope: &Instrument,
-    (target_from_view, size): (&Affine2, [usize; 2]),
-    aim_m: Vec2,
+    seen: (&Affine2, [usize; 2]),
     present: &PlanarPose,
 ) -> Option<PlanarPose> {
+    let turns = scope.gate().info().axis(Axis::Rz).is_some();
+    let velocity = whole(&error_of(task, seen)?, turns);
+    Some(goes(task, scope, &velocity, present))
+}
+
+fn error_of(
+    task: &ServoTask<'_>,
+    (target_from_view, size): (&Affine2, [usize; 2]),
+) -> Option<PoseError> {
     let target = &task.target.features;
-    let mut error = pose_error(
+    pose_error(
         target_from_view,
         task.view_calibration,
         task.target_calibration,
         centre_px(size[0], size[1]),
         centre_px(target.width, target.height),
-    )?;
-    for (t, aim) in error.t_m.iter_mut().zip(aim_m) {
-        *t -= aim;
+    )
+}
+
+/// All the way in one step.
+fn whole(error: &PoseError, turns: bool) -> Velocity {
+    let velocity = control_law(error, 1.0);
+    Velocity {
+        theta_rad: if turns { velocity.theta_rad } else { 0.0 },
+        ..velocity
     }
-    let info = scope.gate().info();
-    let aimed = PoseEstimate {
-        error,
-        covariance: [[0.0; 3]; 3],
-    };
-    let velocity = task.velocity(&aimed, info.axis(Axis::Rz).is_some());
+}
+
+fn goes(
+    task: &ServoTask<'_>,
+    scope: &Instrument,
+    velocity: &Velocity,
+    present: &PlanarPose,
+) -> PlanarPose {
     let turning = turning(scope);
-    let goes = (info.kinematics, turning.as_ref());
-    Some(goal(goes, present, &velocity, task.view_calibration))
+    let goes = (scope.gate().info().kinematics, turning.as_ref());
+    goal(goes, present, velocity, task.view_calibration)
 }

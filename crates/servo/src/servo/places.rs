@@ -22,4 +22,7 @@ pub(crate) struct MayLieAt {
     pub(crate) to: ObjectiveId,
     /// The most likely first; at least one.
     pub(crate) places: Vec<MayLie>,
+    /// Places that cannot be looked at: out of reach, or too far for one step to lead there for sure.
+    #[serde(default)]
+    pub(crate) beyond: Vec<MayLie>,
 }

@@ -14,7 +14,7 @@ const SIGMAS: f64 = 3.0;
 impl HandOver {
     /// The velocity that hands over, and within how much of its goal the next view then lies for sure, m; `None` where one step does not do
     /// it, or nobody knows.
-    fn step(
+    pub(super) fn step(
         &self,
         task: &ServoTask<'_>,
         estimate: &PoseEstimate,

@@ -100,7 +100,7 @@ impl Reposition {
     ) -> Result<bool, ServoError> {
         Ok(self.tries_again(scope, sink, error)?
             || self.went_astray(scope, error)?
-            || self.passes_by(scope, error)?
+            || self.passes_by(error)
             || self.widens_focus(scope, sink, error))
     }
 
@@ -259,6 +259,7 @@ impl Reposition {
 
     pub(super) fn outcome(&self, verdict: Verdict, reason: Reason, message: String) -> Outcome {
         let last = self.done.last().and_then(|d| d.end.result());
+        let seen = self.done.iter().filter(|d| d.end.result().is_some());
         Outcome {
             verdict,
             reason,
@@ -270,7 +271,7 @@ impl Reposition {
             in_view: None,
             missing: None,
             remarks: self.remarks.clone(),
-            unique_within_um: self.done.iter().map(view_um).max_by(wider),
+            unique_within_um: seen.map(view_um).max_by(wider),
             magnifications: self.done.clone(),
         }
     }

@@ -14,9 +14,7 @@ impl Reposition {
         sink: &mut dyn Sink,
         leg: Leg,
     ) -> Result<(), ServoError> {
-        if self.visits(leg.objective()) {
-            let work = Work::Visit;
-            self.state = State::Under { leg, work };
+        if self.visits(&leg) {
             return Ok(());
         }
         let before = self.done.last();

@@ -7,6 +7,7 @@ use super::super::places::{Seen, Visit};
 use super::super::{Leg, MagnificationResult, Outcome};
 use super::{Reposition, State, Work};
 use crate::event::tell;
+use crate::one_side::move_from_one_side;
 use crate::servo::may_lie::leads_to;
 use crate::vision::{grab_from_here, gray};
 use crate::{
@@ -18,7 +19,7 @@ use scopeservo_registration::Rival;
 use scopeservo_scope::{Instrument, ObjectiveId};
 
 impl Reposition {
-    /// Goes to the most likely place and brings the objective that looks, where there is one and that was not tried before.
+    /// Whether there are places to look at, and this was not tried before.
     pub(super) fn begins_visit(
         &mut self,
         scope: &Instrument,
@@ -36,57 +37,62 @@ impl Reposition {
             return Ok(false);
         }
         self.tell_attempt(scope, sink, from.clone(), attempt);
-        let leg = Leg::Servo(at.to.clone());
+        // Nothing moves in the step that writes down where the stage stood.
         self.visited_from = Some((from.clone(), PlanarPose::from(&scope.gate().position()?)));
+        self.state = State::Under {
+            leg: Leg::Servo(at.to.clone()),
+            work: Work::Visit,
+        };
         self.visit = Some(Visit::of(at));
-        self.goes_to_next(scope)?;
-        self.bring(scope, leg);
         Ok(true)
     }
 
-    /// Whether places are looked at with this objective.
-    pub(super) fn visits(&self, with: &ObjectiveId) -> bool {
-        self.visit.as_ref().is_some_and(|v| v.at.to == *with)
+    /// Whether the objective that is in focus is one that looks at places: then that goes on.
+    pub(super) fn visits(&mut self, leg: &Leg) -> bool {
+        let visit = self.visit.as_mut();
+        let Some(visit) = visit.filter(|v| v.at.to == *leg.objective()) else {
+            return false;
+        };
+        visit.in_focus = true;
+        self.state = State::Under {
+            leg: leg.clone(),
+            work: Work::Visit,
+        };
+        true
     }
 
-    fn goes_to_next(&self, scope: &Instrument) -> Result<(), ServoError> {
-        if let Some(next) = self.visit.as_ref().and_then(Visit::next) {
+    /// Goes to the next place, with whatever objective is active.
+    fn goes_to_next(&self, scope: &Instrument, leg: &Leg) -> Result<(), ServoError> {
+        let next = self.visit.as_ref().and_then(Visit::next);
+        if let Some((next, here)) = next.zip(self.calibrations.get(leg.objective())) {
             let present = scope.gate().position()?;
-            scope.move_to(&next.stage.request(&present))?;
+            move_from_one_side(scope, &present, &next.stage.request(&present), here)?;
         }
         Ok(())
     }
 
-    /// Nothing is in focus at a place: it is not there.
-    pub(super) fn passes_by(
-        &mut self,
-        scope: &Instrument,
-        error: &ServoError,
-    ) -> Result<bool, ServoError> {
-        let unfocused = matches!(error.code(), ErrorCode::NoFocus | ErrorCode::AtLimit);
+    /// A place where nothing is in focus is not where the target lies; one that cannot be looked at may be. Either way the next one follows.
+    pub(super) fn passes_by(&mut self, error: &ServoError) -> bool {
         let State::Under {
             leg,
-            work: Work::Bring(_),
+            work: Work::Bring(_) | Work::Visit,
         } = &self.state
         else {
-            return Ok(false);
+            return false;
         };
         let leg = leg.clone();
-        let Some(visit) = self.visit.as_mut().filter(|_| unfocused) else {
-            return Ok(false);
+        let Some(visit) = self.visit.as_mut().filter(|v| v.next().is_some()) else {
+            return false;
         };
-        visit.looked += 1;
-        match visit.next() {
-            Some(_) => {
-                self.goes_to_next(scope)?;
-                self.bring(scope, leg);
-            }
-            None => {
-                let work = Work::Visit;
-                self.state = State::Under { leg, work };
-            }
+        match error.code() {
+            ErrorCode::NoFocus | ErrorCode::AtLimit => visit.pass_by(),
+            ErrorCode::OutsideLimits => visit.give_up(),
+            _ if matches!(error, ServoError::ObjectiveUnclear { .. }) => visit.give_up(),
+            _ => return false,
         }
-        Ok(true)
+        let work = Work::Visit;
+        self.state = State::Under { leg, work };
+        true
     }
 
     /// Looks at one place, or concludes.
@@ -97,7 +103,7 @@ impl Reposition {
         target: &Target,
         leg: Leg,
     ) -> Result<Option<Outcome>, ServoError> {
-        let Some(visit) = &self.visit else {
+        let Some(visit) = &mut self.visit else {
             return Err(super::cannot_go_on(
                 "a stored run lacks the places that it looks at",
             ));
@@ -105,8 +111,15 @@ impl Reposition {
         let Some(next) = visit.next().copied() else {
             return self.concludes(scope, sink, target, leg);
         };
-        let number = visit.looked;
-        self.goes_to_next(scope)?;
+        // A run that goes on after a kill may find another objective than it left, or one that nobody has looked at.
+        visit.in_focus &= scope.gate().current_objective()?.as_ref() == Some(leg.objective())
+            && !scope.gate().objective_is_reported();
+        let (in_focus, number) = (visit.in_focus, visit.looked);
+        self.goes_to_next(scope, &leg)?;
+        if !in_focus {
+            self.bring(scope, leg);
+            return Ok(None);
+        }
         let goal = self.looks(scope, sink, target, (&leg, number))?;
         let seen = goal.map(|goal| Seen { from: next, goal });
         let here = self.calibrations.get(leg.objective());
@@ -156,7 +169,7 @@ impl Reposition {
                     &seen.estimate.target_from_view,
                     [view.width(), view.height()],
                 );
-                Ok(leads_to(&task, scope, seen, [0.0; 2], &stands))
+                Ok(leads_to(&task, scope, seen, &stands))
             }
             Err(reason) => {
                 let event = Event::Lost {
@@ -178,37 +191,42 @@ impl Reposition {
         target: &Target,
         leg: Leg,
     ) -> Result<Option<Outcome>, ServoError> {
-        let Some(visit) = self.visit.take() else {
-            return Ok(None);
+        let (Some(visit), Some(here), Some(at_target)) = (
+            self.visit.take(),
+            self.calibrations.get(leg.objective()).cloned(),
+            self.target_calibration(target),
+        ) else {
+            return Err(super::cannot_go_on(
+                "a stored run lacks a calibration; start it anew",
+            ));
         };
-        match visit.seen[..] {
-            [seen] => {
+        let kinematics = scope.gate().info().kinematics;
+        let another = match &visit.seen[..] {
+            [] => None,
+            [seen] => visit.unseen(seen, kinematics, &here),
+            [one, other, ..] => Some(one.beside(&other.goal, kinematics, &here)),
+        };
+        match (another, visit.seen.first()) {
+            (Some(off), _) => {
+                let um_per_px = at_target.um_per_px();
+                self.done.push(MagnificationResult {
+                    objective: leg.objective().clone(),
+                    magnification: scope.objective(leg.objective())?.magnification,
+                    end: ServoEnd::Ambiguous {
+                        rival: rival(&off, um_per_px),
+                        um_per_px,
+                    },
+                    calibration: here,
+                });
+                Ok(self.done.last().map(|d| self.end(&d.end, target)))
+            }
+            (None, Some(seen)) => {
                 let present = scope.gate().position()?;
-                scope.move_to(&seen.from.stage.request(&present))?;
+                move_from_one_side(scope, &present, &seen.from.stage.request(&present), &here)?;
                 self.servo(scope, sink, leg);
                 Ok(None)
             }
-            [one, other, ..] => {
-                let kinematics = scope.gate().info().kinematics;
-                let ends = self.target_calibration(target);
-                if let Some((calibration, at_target)) =
-                    self.calibrations.get(leg.objective()).zip(ends)
-                {
-                    let um_per_px = at_target.um_per_px();
-                    let off = one.beside(&other, kinematics, calibration);
-                    self.done.push(MagnificationResult {
-                        objective: leg.objective().clone(),
-                        magnification: scope.objective(leg.objective())?.magnification,
-                        end: ServoEnd::Ambiguous {
-                            rival: rival(&off, um_per_px),
-                            um_per_px,
-                        },
-                        calibration: calibration.clone(),
-                    });
-                }
-                Ok(self.done.last().map(|d| self.end(&d.end, target)))
-            }
-            [] => {
+            (None, None) => {
                 self.leaves_places(scope)?;
                 Ok(self.done.last().map(|d| self.end(&d.end, target)))
             }
