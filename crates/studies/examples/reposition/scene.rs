@@ -38,6 +38,9 @@ pub(crate) enum Kind {
     Turntable,
 }
 
+/// A specimen and its name.
+type Named = (String, Arc<dyn Specimen>);
+
 /// One run.
 pub(crate) struct Scene {
     pub(crate) kind: Kind,
@@ -98,7 +101,7 @@ pub(crate) fn draw(index: u64) -> Scene {
 
 impl Scene {
     /// Its name, and what it is.
-    pub(crate) fn specimen(&self) -> Outcome<(String, Arc<dyn Specimen>)> {
+    pub(crate) fn specimen(&self) -> Outcome<Named> {
         Self::specimen_of(self.specimen)
     }
 
@@ -109,15 +112,14 @@ impl Scene {
     }
 
     /// Read once, and what of it was painted serves all runs.
-    fn specimen_of(number: usize) -> Outcome<(String, Arc<dyn Specimen>)> {
-        static KNOWN: Mutex<BTreeMap<usize, (String, Arc<dyn Specimen>)>> =
-            Mutex::new(BTreeMap::new());
+    fn specimen_of(number: usize) -> Outcome<Named> {
+        static KNOWN: Mutex<BTreeMap<usize, Named>> = Mutex::new(BTreeMap::new());
         let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(one) = known.get(&number) {
             return Ok(one.clone());
         }
         let folder = std::env::var_os("SCOPESERVO_SPECIMENS");
-        let one: (String, Arc<dyn Specimen>) = match (number, folder) {
+        let one: Named = match (number, folder) {
             (k, Some(folder)) if k > 0 => {
                 let (name, um_per_px, _) = SLIDES[k - 1];
                 let slide = FileSpecimen::open(&Path::new(&folder).join(name), Some(um_per_px))?;
