@@ -29,6 +29,13 @@ impl Velocity {
     pub fn angle_deg(&self) -> f64 {
         self.theta_rad.to_degrees()
     }
+    /// The same where the stage `turns`; else without its rotation.
+    pub(crate) fn on_stage_that(self, turns: bool) -> Self {
+        Self {
+            theta_rad: if turns { self.theta_rad } else { 0.0 },
+            ..self
+        }
+    }
 }
 
 /// How an error becomes a velocity.

@@ -74,7 +74,8 @@ impl Servo {
             let step = over
                 .step(task, &estimate, turns)
                 .map(|(velocity, _)| velocity);
-            let velocity = step.unwrap_or_else(|| whole(&estimate.error, turns));
+            let velocity =
+                step.unwrap_or_else(|| control_law(&estimate.error, 1.0).on_stage_that(turns));
             let stage = goes(task, scope, &velocity, &PlanarPose::from(&present));
             let place = MayLie { stage, height };
             match step.is_some() && goals.allow(&stage.request(&present)) {
@@ -94,7 +95,8 @@ pub(crate) fn leads_to(
     present: &PlanarPose,
 ) -> Option<PlanarPose> {
     let turns = scope.gate().info().axis(Axis::Rz).is_some();
-    let velocity = whole(&error_of(task, seen)?, turns);
+    // All the way in one step.
+    let velocity = control_law(&error_of(task, seen)?, 1.0).on_stage_that(turns);
     Some(goes(task, scope, &velocity, present))
 }
 
@@ -110,15 +112,6 @@ fn error_of(
         centre_px(size[0], size[1]),
         centre_px(target.width, target.height),
     )
-}
-
-/// All the way in one step.
-fn whole(error: &PoseError, turns: bool) -> Velocity {
-    let velocity = control_law(error, 1.0);
-    Velocity {
-        theta_rad: if turns { velocity.theta_rad } else { 0.0 },
-        ..velocity
-    }
 }
 
 fn goes(

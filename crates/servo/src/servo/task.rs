@@ -128,9 +128,6 @@ impl<'a> ServoTask<'a> {
             Some(law) => law.velocity(error, self.view_calibration),
             None => self.options.velocity(error, self.view_calibration),
         };
-        Velocity {
-            theta_rad: if turns { velocity.theta_rad } else { 0.0 },
-            ..velocity
-        }
+        velocity.on_stage_that(turns)
     }
 }

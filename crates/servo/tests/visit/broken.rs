@@ -2,15 +2,15 @@
 
 use crate::common::{Bench, Listener, bench_over};
 use crate::smear::{
-    SAVED_UM, TwoFaced, back, config, hard, save, smear, smear_of, there_twice, visited,
+    SAVED_UM, TwoFaced, back, bring, config, hard, save, smear, smear_of, there_twice, visited,
 };
 use scopeservo_scope::{
     Axis, AxisRange, CancelToken, Devices, Instrument, KnownBy, Limits, Motion, Nosepiece,
     Objective, ObjectiveId, Rules, ScopeError,
 };
 use scopeservo_servo::{
-    Attempt, Bring, ErrorKind, Event, FocusOptions, FrameRole, NoSink, Outcome, Procedure,
-    Progress, Reason, Remark, Reposition, Target, Verdict, VisionOptions, run,
+    Attempt, ErrorKind, Event, FrameRole, NoSink, Outcome, Procedure, Progress, Reason, Remark,
+    Reposition, Target, Verdict, run,
 };
 use scopeservo_twin::StageFault;
 use std::sync::Arc;
@@ -159,9 +159,7 @@ fn where_nothing_is_in_focus_at_any_place_a_run_ends_though_only_images_tell_the
             ..bench.twin.devices()
         };
         let scope = Instrument::new(devices, bench.twin.rules(), CancelToken::new()).unwrap();
-        let focus = Some(FocusOptions::default());
-        let mut bring = Bring::new(ObjectiveId("10x".into()), focus, VisionOptions::default());
-        run(&mut bring, &scope, &mut NoSink).unwrap();
+        bring(&scope, "10x");
         bench.twin.remount(SAVED_UM, [260.0, -170.0], 4.0, false);
         let mut machine = back(target.clone());
         let mut steps = 0;

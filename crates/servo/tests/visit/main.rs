@@ -73,7 +73,7 @@ fn what_is_not_there_when_looked_at_leaves_stage_and_objective_as_the_lowest_saw
             near: smear_of(per_mm2, 100 + seed),
         };
         let bench = bench_over(config(), Arc::new(specimen), Vec::new());
-        bring(&bench, &ObjectiveId("10x".into()));
+        bring(&bench.scope, "10x");
         bench.twin.remount(SAVED_UM, [260.0, -170.0], 4.0, false);
         let began = bench.scope.gate().position().unwrap();
         let outcome = run(&mut back(target), &bench.scope, &mut NoSink).unwrap();

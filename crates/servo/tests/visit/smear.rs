@@ -1,7 +1,7 @@
 //! Smears of few cells, and what is saved on them.
 
 use crate::common::{Bench, bench, bench_over, options};
-use scopeservo_scope::ObjectiveId;
+use scopeservo_scope::{Instrument, ObjectiveId};
 use scopeservo_servo::{
     Attempt, Bring, Calibrate, Calibration, FocusOptions, NoSink, Outcome, Remark, Reposition,
     RepositionOptions, SaveOptions, SaveTarget, Target, Verdict, VisionOptions, run,
@@ -27,7 +27,7 @@ pub(crate) fn calibrations() -> Vec<(ObjectiveId, Calibration)> {
         let bench = bench(config());
         let all = bench.scope.gate().objectives().to_vec();
         let one = |objective: &scopeservo_scope::Objective| {
-            bring(&bench, &objective.id);
+            bring(&bench.scope, &objective.id.0);
             let vision = VisionOptions::default();
             let mut calibrate = Calibrate::new(objective.clone(), options().calibrate, vision);
             let calibration = run(&mut calibrate, &bench.scope, &mut NoSink).unwrap();
@@ -38,10 +38,11 @@ pub(crate) fn calibrations() -> Vec<(ObjectiveId, Calibration)> {
     KNOWN.get_or_init(make).clone()
 }
 
-pub(crate) fn bring(bench: &Bench, id: &ObjectiveId) {
+pub(crate) fn bring(scope: &Instrument, id: &str) {
     let focus = Some(FocusOptions::default());
-    let mut bring = Bring::new(id.clone(), focus, VisionOptions::default());
-    run(&mut bring, &bench.scope, &mut NoSink).unwrap();
+    let id = ObjectiveId(id.into());
+    let mut bring = Bring::new(id, focus, VisionOptions::default());
+    run(&mut bring, scope, &mut NoSink).unwrap();
 }
 
 pub(crate) fn smear(seed: u64) -> Arc<dyn Specimen> {
@@ -60,7 +61,7 @@ pub(crate) fn smear_of(per_mm2: f64, seed: u64) -> Arc<dyn Specimen> {
 /// Saves the place with 40x; `None` where too little lies there.
 pub(crate) fn save(bench: &Bench) -> Option<(Target, Truth)> {
     bench.twin.centre_specimen(SAVED_UM, 0.0);
-    bring(bench, &ObjectiveId("40x".into()));
+    bring(&bench.scope, "40x");
     let mut save = SaveTarget::new(SaveOptions::default());
     let target = run(&mut save, &bench.scope, &mut NoSink).ok()?;
     Some((target, bench.twin.truth_now()))

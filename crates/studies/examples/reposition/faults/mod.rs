@@ -39,10 +39,8 @@ pub(crate) fn study(
     let kinds = kinds::all();
     let of = |index: u64| &kinds[(index / EACH) as usize];
     let saves = Saves::default();
-    let one = |index: u64, trace: bool| {
-        let scene = (index % EACH, &saves);
-        run::run(of(index), index, scene, known, trace)
-    };
+    let one =
+        |index: u64, trace: bool| run::run(of(index), index, (index % EACH, &saves), known, trace);
     if let Some(index) = many.only {
         println!("{}", serde_json::to_string_pretty(&one(index, true)?)?);
         return Ok(0);

@@ -207,11 +207,10 @@ fn limited(start: &Start) -> Outcome<Instrument> {
 pub(crate) fn run(
     kind: &Kind,
     index: u64,
-    (scene, saves): (u64, &Saves),
+    (number, saves): (u64, &Saves),
     known: &[Known],
     trace: bool,
 ) -> Outcome<Record> {
-    let number = scene;
     let scene = draw(number);
     let (specimen, slide) = scene.specimen()?;
     let mut record = Record {
