@@ -2,6 +2,7 @@
 //! patch and so to shading.
 
 pub use crate::plane::Plane;
+use rayon::prelude::*;
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, Vec2};
 
@@ -151,7 +152,8 @@ impl Pair {
     /// Each patch's place in the view with its likeness.
     fn look(&self, target_from_view: &Affine2) -> Option<Vec<(Vec2, Option<Likeness>)>> {
         let fine_from_coarse = self.fine_from_coarse(target_from_view)?;
-        let seen = self.patches().map(|centre| {
+        let patches: Vec<[usize; 2]> = self.patches().collect();
+        let seen = patches.into_par_iter().map(|centre| {
             let seen = likeness(
                 &self.coarse,
                 &self.fine,
@@ -215,31 +217,30 @@ impl Pair {
             let count = (side as f64 / step) as usize;
             (0..count).map(move |k| (k as f64 + 0.5) * step)
         };
-        let mut seen = Vec::new();
-        for y in along(self.fine.height()) {
-            for x in along(self.fine.width()) {
-                let at = coarse_from_fine.apply([x, y]).map(f64::round);
-                let inside = at[0] >= 0.0
-                    && at[1] >= 0.0
-                    && at[0] < self.coarse.width() as f64
-                    && at[1] < self.coarse.height() as f64;
-                if !inside {
-                    seen.push((None, None));
-                    continue;
-                }
-                let centre = at.map(|v| v as usize);
-                let place = if self.view_is_coarse { at } else { [x, y] };
-                let like = likeness(
-                    &self.coarse,
-                    &self.fine,
-                    &fine_from_coarse,
-                    centre,
-                    PATCH_RADIUS,
-                );
-                seen.push((Some(place), like));
+        let places =
+            along(self.fine.height()).flat_map(|y| along(self.fine.width()).map(move |x| [x, y]));
+        let places: Vec<Vec2> = places.collect();
+        let seen = places.into_par_iter().map(|[x, y]| {
+            let at = coarse_from_fine.apply([x, y]).map(f64::round);
+            let inside = at[0] >= 0.0
+                && at[1] >= 0.0
+                && at[0] < self.coarse.width() as f64
+                && at[1] < self.coarse.height() as f64;
+            if !inside {
+                return (None, None);
             }
-        }
-        Some(seen)
+            let centre = at.map(|v| v as usize);
+            let place = if self.view_is_coarse { at } else { [x, y] };
+            let like = likeness(
+                &self.coarse,
+                &self.fine,
+                &fine_from_coarse,
+                centre,
+                PATCH_RADIUS,
+            );
+            (Some(place), like)
+        });
+        Some(seen.collect())
     }
 
     /// The transform near `rough`, shifted by up to a pixel and a half of the coarser image, under which the patches correlate

@@ -5,8 +5,11 @@ mod common;
 use common::{Scene, Spot, apart, frame, placed};
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, SplitMix64, Vec2};
-use scopeservo_registration::correlation::{Correlation, Counts, Picture, correlate};
-use scopeservo_registration::{Options, RotationPrior, ScalePrior, periods};
+use scopeservo_registration::correlation::{Correlation, Counts, Picture, correlate, look_alikes};
+use scopeservo_registration::likeness::Pair;
+use scopeservo_registration::{
+    Estimate, Options, Rival, RotationPrior, ScalePrior, periods, undecided,
+};
 
 const SIZE: [usize; 2] = [640, 480];
 const CENTRE: [f64; 2] = [319.5, 239.5];
@@ -217,10 +220,73 @@ fn a_lattice_and_two_equal_places_are_never_told_as_one() {
     // Whichever of the two is found otherwise, the other one looks like it.
     for x in [-600.0, 600.0] {
         let found = truth(&view_from_scene(4.0, 5.0, [-x, 0.0]));
-        let alike = told.look_alikes(&found, SIZE);
+        let alike = beside(&view, &target, &found);
         let [by_x, by_y] = alike[0].shift_px;
         let off = (f64::hypot(by_x, by_y) - 1200.0).abs();
-        assert!(alike.len() == 1 && off < 40.0, "{x}: {alike:?}");
+        assert!(alike.len() == 1 && off < 2.0, "{x}: {alike:?}");
+    }
+}
+
+/// What is as like the target, at 4:1.
+fn beside(view: &GrayImage, target: &GrayImage, first: &Affine2) -> Vec<Rival> {
+    let scale = ScalePrior {
+        ratio: 4.0,
+        tolerance: 0.04,
+    };
+    let picture = |image| Picture {
+        image,
+        counts: None,
+    };
+    let [view, target] = [view, target].map(picture);
+    look_alikes(&view, &target, scale, first, &Options::default())
+}
+
+/// A peak is known to several pixels there, and the pixels are asked within one and a half.
+#[test]
+fn on_a_large_camera_a_twin_is_told_where_it_lies_and_the_pixels_do_not_dismiss_it() {
+    const LARGE: [usize; 2] = [2448, 2048];
+    let middle = LARGE.map(|n| (n as f64 - 1.0) / 2.0);
+    let once = Scene::random(50, 900, 1200.0, 8.0..30.0).spots;
+    for (k, angle_deg) in [93.3].into_iter().enumerate() {
+        let twice = once.iter().flat_map(|s| {
+            [-2400.0, 2400.0].map(|x| Spot {
+                at: [s.at[0] + x, s.at[1] + 37.0],
+                ..*s
+            })
+        });
+        let both = Scene {
+            spots: twice.collect(),
+        };
+        let one = Scene {
+            spots: once.clone(),
+        };
+        let target_from_scene = placed(1.0, 0.0, [0.0; 2], middle);
+        let view_from_scene = |off| placed(0.25, -angle_deg, off, middle);
+        let target = one.frame(LARGE, &target_from_scene, 0.008, 1);
+        let view = both.frame(LARGE, &view_from_scene([0.0; 2]), 0.008, 2 + k as u64);
+        // The target's middle lies at the first place, or at the second.
+        let at = |x: f64| {
+            let back = view_from_scene([-x, -37.0]).inverse().unwrap();
+            target_from_scene.after(&back)
+        };
+        let (first, second) = (at(-2400.0), at(2400.0));
+        let alike = beside(&view, &target, &first);
+        assert_eq!(alike.len(), 1, "{angle_deg}: {alike:?}");
+        let there = second.inverse().unwrap().apply(middle);
+        let told = alike[0].target_from_view.apply(there);
+        let off_px = f64::hypot(told[0] - middle[0], told[1] - middle[1]);
+        // Target pixels: a quarter of one of the view.
+        assert!(off_px < 1.0, "{angle_deg}: {off_px} px");
+        let estimate = Estimate {
+            target_from_view: first,
+            covariance: [[0.0; 6]; 6],
+            sigma_px: 0.1,
+            corner_sigma_px: 0.1,
+            sigma_angle_rad: 1e-4,
+        };
+        let pair = Pair::new(&view, &target, 4.0);
+        let open = undecided(&pair, &estimate, (&target, &[]), &alike, true, |_| true);
+        assert!(open.is_some(), "{angle_deg}: the twin is dismissed");
     }
 }
 
@@ -235,7 +301,7 @@ fn a_place_of_which_half_is_in_view_has_no_look_alikes_in_what_is_less_like_it()
         let view = scene.frame(SIZE, &view_from_scene, 0.008, 2);
         let told = seen((&view, None), (&target, None), 4.0, None);
         let found = truth(&view_from_scene);
-        let alike = told.look_alikes(&found, SIZE);
+        let alike = beside(&view, &target, &found);
         assert!(alike.is_empty(), "{seed}: {alike:?}");
         others += told.perhaps.len();
     }

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Bench, PLACE_UM, bench_over, one_objective, options};
 use scopeservo_geometry::Mat2;
-use scopeservo_scope::{Axis, Frame, StagePose};
+use scopeservo_scope::{Axis, AxisRange, Frame, StagePose};
 use scopeservo_servo::{
     Calibrate, Calibration, Contradiction, Event, FrameRole, NoSink, Outcome, Reason, Remark,
     Reposition, ServoEnd, Sink, Stamped, Verdict, VisionOptions, run,
@@ -159,7 +159,6 @@ fn moves_that_the_image_contradicts_stop_the_run_and_are_named() {
     assert_eq!(outcome.reason, Reason::NothingMoves, "{}", outcome.message);
 }
 
-/// A calibration by two steps, or of an earlier version, does not know it.
 /// Where its centre lies 125 mm away, what goes with a turn takes the target out of view when the rotation stands.
 #[test]
 fn a_rotation_far_from_its_centre_that_stands_is_named_however_near_the_target_lay() {
@@ -198,6 +197,42 @@ fn a_rotation_far_from_its_centre_that_stands_is_named_however_near_the_target_l
     }
 }
 
+/// The small step that shows what moves do goes the way that is open.
+#[test]
+fn what_moves_do_is_seen_at_the_end_of_an_axis_as_well() {
+    let good = calibration();
+    let known = changed(&good, |m| Mat2::diagonal(-1.0, 1.0) * m);
+    // x takes the target out of view, and y may not go as far as a small step.
+    for (y_um, ends_um) in [
+        (3.0, [-500.0, 5.0]),
+        (-3.0, [-500.0, 5.0]),
+        (3.0, [-5.0, 500.0]),
+        (-3.0, [-5.0, 500.0]),
+    ] {
+        let config = one_objective().with_stage(StageConfig::xyz_theta());
+        let specimen = Arc::new(Tissue::new(7));
+        let [min, max] = ends_um.map(|um| um * 1e-6);
+        let ends = AxisRange {
+            axis: Axis::Y,
+            min,
+            max,
+        };
+        let bench = bench_over(config, specimen, vec![ends]);
+        let (target, _) = bench.save();
+        bench.twin.remount(PLACE_UM, [-125.0, y_um], 0.0, false);
+        let calibrations = [(known.objective.clone(), known.clone())];
+        let mut reposition = Reposition::new(target, options()).with_calibrations(calibrations);
+        let outcome = run(&mut reposition, &bench.scope, &mut NoSink).unwrap();
+        assert_eq!(
+            why(&outcome),
+            Some(Contradiction::AxisReversed(Axis::X)),
+            "{y_um} {ends_um:?}: {}",
+            outcome.message
+        );
+    }
+}
+
+/// A calibration by two steps, or of an earlier version, does not know it.
 #[test]
 fn play_that_no_calibration_knows_is_not_taken_for_an_axis_that_stands() {
     let mut unaware = calibration();

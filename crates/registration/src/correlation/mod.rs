@@ -8,6 +8,7 @@
 //!
 //! [`register_correspondences`]: crate::register_correspondences
 
+mod alike;
 mod blocks;
 mod matched;
 mod plane;
@@ -24,6 +25,7 @@ use rayon::prelude::*;
 use scopeservo_geometry::{Affine2, Vec2};
 use search::Peak;
 
+pub use alike::look_alikes;
 pub use plane::{Counts, Picture};
 
 /// The longer side of a target that is searched for, samples at most;
@@ -53,9 +55,6 @@ const AS_GOOD: f64 = 0.5;
 /// Turned by more than this it is another place, radians; or shifted by so many samples.
 const ELSEWHERE_RAD: f64 = 0.2;
 const ELSEWHERE: f64 = 4.0;
-/// A peak is known to so many pixels of the view.
-const ELSEWHERE_PX: f64 = 8.0;
-
 /// What a correlation says.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Correlation {
@@ -69,37 +68,6 @@ pub struct Correlation {
     pub peaks: [f32; 2],
     /// Where the target may lie by its peaks alone, the most likely first.
     pub perhaps: Vec<Perhaps>,
-}
-
-impl Correlation {
-    /// What is nearly as like the target as anything, beside a transform that was found otherwise: rivals on which the pixels are to be asked. None
-    /// where that one is not as like it itself, as of a target of which half is in view: then this says nothing.
-    pub fn look_alikes(&self, first: &Affine2, target_size: [usize; 2]) -> Vec<Rival> {
-        let Some(view_from_target) = first.inverse() else {
-            return Vec::new();
-        };
-        let middle = view_from_target.apply(centre(target_size));
-        let px = first.linear.det().abs().sqrt();
-        let highest = self.perhaps.first().map_or(0.0, |p| p.height);
-        let alike = self
-            .perhaps
-            .iter()
-            .filter(|p| p.height >= AS_HIGH[1] * highest);
-        let beside = |p: &Perhaps| Rival::beside(first, &p.target_from_view, middle, [0, 1]);
-        let (elsewhere, here): (Vec<Rival>, Vec<Rival>) =
-            alike.filter_map(beside).partition(|rival| {
-                let shift_px = f64::hypot(rival.shift_px[0], rival.shift_px[1]);
-                shift_px > ELSEWHERE_PX * px || rival.turn_rad.abs() > ELSEWHERE_RAD
-            });
-        if here.is_empty() {
-            return Vec::new();
-        }
-        let significant = |rival| Rival {
-            significant: true,
-            ..rival
-        };
-        elsewhere.into_iter().map(significant).collect()
-    }
 }
 
 /// Where a target may lie in a view that does not say so for sure.

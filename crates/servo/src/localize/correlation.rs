@@ -6,9 +6,9 @@
 use super::{Expected, FeatureLocalizer, Localizer, Measurement, says_nothing};
 use crate::{FixedPlaces, LocatedBy, ServoError, Target, VisionOptions};
 use scopeservo_features::{GrayImage, Mask};
-use scopeservo_geometry::Vec2;
-use scopeservo_registration::correlation::{Correlation, Perhaps, Picture, correlate};
-use scopeservo_registration::{NotFound, Prior, Rival};
+use scopeservo_geometry::{Affine2, Vec2};
+use scopeservo_registration::correlation::{Correlation, Perhaps, Picture, correlate, look_alikes};
+use scopeservo_registration::{NotFound, Rival, ScalePrior};
 use std::borrow::Cow;
 
 /// Side of the cells in which fixed places are left out, pixels.
@@ -38,41 +38,55 @@ impl CorrelationLocalizer<'_> {
         view: &GrayImage,
         expected: &Expected<'_>,
     ) -> Option<Correlation> {
-        let scale = expected.prior.scale?;
-        let image = target.gray().ok()?;
-        let free = free_of(expected.fixed, view);
-        let of_target = free_of(expected.fixed, &image);
-        let moved = target.mask.as_ref();
-        let in_view = |p: Vec2| free.as_ref().is_none_or(|m| m.holds(p));
-        let in_target = |p: Vec2| {
-            of_target.as_ref().is_none_or(|m| m.holds(p)) && moved.is_none_or(|m| m.holds(p))
-        };
-        Some(correlate(
-            &Picture {
-                image: view,
-                counts: free.is_some().then_some(&in_view),
-            },
-            (
-                &Picture {
-                    image: &image,
-                    counts: (of_target.is_some() || moved.is_some()).then_some(&in_target),
-                },
-                &target.periods_px,
-            ),
-            scale,
-            expected.prior.rotation,
-            &self.vision.registration,
-        ))
+        let (rotation, periods_px) = (expected.prior.rotation, &target.periods_px);
+        let options = &self.vision.registration;
+        pictures(target, view, expected, |view, of_target, scale| {
+            correlate(view, (of_target, periods_px), scale, rotation, options)
+        })
+    }
+
+    /// What is as like the target as the place where features found it, at any angle.
+    fn look_alikes(
+        &self,
+        target: &Target,
+        view: &GrayImage,
+        expected: &Expected<'_>,
+        first: &Affine2,
+    ) -> Vec<Rival> {
+        let options = &self.vision.registration;
+        let alike = pictures(target, view, expected, |view, of_target, scale| {
+            look_alikes(view, of_target, scale, first, options)
+        });
+        alike.unwrap_or_default()
     }
 }
 
-/// The same at any angle.
-fn anywhere<'a>(expected: &Expected<'a>) -> Expected<'a> {
-    let prior = Prior {
-        rotation: None,
-        ..expected.prior
-    };
-    Expected { prior, ..*expected }
+/// Asks of view and target as a correlation looks at them; `None` where nothing is known of the scale.
+fn pictures<T>(
+    target: &Target,
+    view: &GrayImage,
+    expected: &Expected<'_>,
+    ask: impl FnOnce(&Picture<'_>, &Picture<'_>, ScalePrior) -> T,
+) -> Option<T> {
+    let scale = expected.prior.scale?;
+    let image = target.gray().ok()?;
+    let free = free_of(expected.fixed, view);
+    let of_target = free_of(expected.fixed, &image);
+    let moved = target.mask.as_ref();
+    let in_view = |p: Vec2| free.as_ref().is_none_or(|m| m.holds(p));
+    let in_target =
+        |p: Vec2| of_target.as_ref().is_none_or(|m| m.holds(p)) && moved.is_none_or(|m| m.holds(p));
+    Some(ask(
+        &Picture {
+            image: view,
+            counts: free.is_some().then_some(&in_view),
+        },
+        &Picture {
+            image: &image,
+            counts: (of_target.is_some() || moved.is_some()).then_some(&in_target),
+        },
+        scale,
+    ))
 }
 
 /// What was found.
@@ -110,11 +124,9 @@ impl Localizer for CorrelationLocalizer<'_> {
             // Few things agree as well where they are there a second time, and then hardly a match passes for one of the two.
             Ok(mut measured) => {
                 let found = measured.estimate.target_from_view;
-                if found.linear.det().abs() >= LOWER * LOWER
-                    && let Some(seen) = self.correlated(target, view, &anywhere(expected))
-                {
-                    let size = [target.features.width, target.features.height];
-                    measured.rivals.extend(seen.look_alikes(&found, size));
+                if found.linear.det().abs() >= LOWER * LOWER {
+                    let alike = self.look_alikes(target, view, expected, &found);
+                    measured.rivals.extend(alike);
                 }
                 return Ok(Ok(measured));
             }

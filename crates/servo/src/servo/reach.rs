@@ -51,9 +51,8 @@ impl Servo {
                     false => unsure_m,
                 }
         };
-        let velocity = task.velocity(&located.pose, test.turns);
-        let velocity = self.watch.limited(velocity, task.view_calibration);
-        if !beyond.iter().any(surely) && goals.allow(&sight.goal(&velocity)) {
+        let (_, next) = self.next_step(task, (sight, located), test.turns, &goals);
+        if !beyond.iter().any(surely) && goals.allow(&next) {
             return Ok(None);
         }
         let turned_deg = error.angle_deg();

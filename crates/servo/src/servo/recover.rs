@@ -6,8 +6,8 @@ use super::sight::{Located, Sight};
 use super::state::Servo;
 use crate::event::tell;
 use crate::one_side::{move_from_below, move_from_one_side};
-use crate::{Attempt, Event, Remark, ServoEnd, ServoError, ServoTask, Sink};
-use scopeservo_scope::{Instrument, StagePose};
+use crate::{Attempt, Event, Remark, ServoEnd, ServoError, ServoTask, Sink, Velocity};
+use scopeservo_scope::{Goals, Instrument, StagePose};
 
 /// A drift is waited for so long, s...
 const SETTLES_S: f64 = 20.0;
@@ -123,6 +123,21 @@ impl Servo {
         first
     }
 
+    /// What the stage does next, as far as moves are trusted, and where that leads: the first way that the rules allow.
+    pub(crate) fn next_step(
+        &self,
+        task: &ServoTask<'_>,
+        (sight, located): (&Sight<'_>, &Located),
+        turns: bool,
+        goals: &Goals<'_>,
+    ) -> (Velocity, StagePose) {
+        let velocity = task.velocity(&located.pose, turns);
+        let ways = self.watch.limited(velocity, task.view_calibration);
+        let steps = ways.map(|velocity| (velocity, sight.goal(&velocity)));
+        let allowed = steps.iter().find(|(_, goal)| goals.allow(goal));
+        *allowed.unwrap_or(&steps[0])
+    }
+
     /// Stage: Eq. (5).
     pub(crate) fn go_on(
         &mut self,
@@ -131,9 +146,8 @@ impl Servo {
         test: &Criteria<'_>,
         (sight, located): (&Sight<'_>, &Located),
     ) -> Result<(), ServoError> {
-        let velocity = task.velocity(&located.pose, test.turns);
-        let velocity = self.watch.limited(velocity, task.view_calibration);
-        let goal = sight.goal(&velocity);
+        let goals = scope.gate().goals()?;
+        let (velocity, goal) = self.next_step(task, (sight, located), test.turns, &goals);
         self.moving(task, scope, test, (sight, located), (&velocity, &goal));
         match self.from_below {
             true => move_from_below(scope, &goal, task.view_calibration)?,

@@ -248,20 +248,21 @@ impl Watch {
         matches!(self.trust, Trust::Shift | Trust::Turn)
     }
 
-    /// As much of a velocity as may be tried.
-    pub(crate) fn limited(&self, velocity: Velocity, view: &Calibration) -> Velocity {
+    /// As much of a velocity as may be tried: the first of these that the stage can take. A small step shows what moves do whichever way it goes.
+    pub(crate) fn limited(&self, velocity: Velocity, view: &Calibration) -> [Velocity; 4] {
         let reach_m = SMALL * view.shorter_side_m();
         let theta_rad = velocity.theta_rad;
         match self.trust {
-            Trust::Whole | Trust::Regained => velocity,
+            Trust::Whole | Trust::Regained => [velocity; 4],
             Trust::Shift => {
                 let camera = view.stage_from_camera();
                 let way = camera * velocity.t_m;
                 let small = [0, 1].map(|k| way[k].signum() * BOTH[k] * reach_m);
-                Velocity {
-                    t_m: camera.transpose() * small,
+                let signs = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
+                signs.map(|sign| Velocity {
+                    t_m: camera.transpose() * [0, 1].map(|k| sign[k] * small[k]),
                     theta_rad: 0.0,
-                }
+                })
             }
             Trust::Turn => {
                 // The view stays there whether the rotation stands, or x and y that go with it, or the centre is elsewhere.
@@ -270,11 +271,11 @@ impl Watch {
                 let most_rad = reach_m / lever_m;
                 match theta_rad.abs() > most_rad {
                     // It turns and does nothing else: what it leaves is seen for what it is.
-                    true => Velocity {
+                    true => [1.0, -1.0, 1.0, -1.0].map(|sign| Velocity {
                         t_m: [0.0; 2],
-                        theta_rad: theta_rad.signum() * most_rad,
-                    },
-                    false => velocity,
+                        theta_rad: sign * theta_rad.signum() * most_rad,
+                    }),
+                    false => [velocity; 4],
                 }
             }
         }
