@@ -65,6 +65,11 @@ impl Knowledge {
         self.known_by != KnownBy::Sensor && !self.objective().confirmed
     }
 
+    /// Whether somebody who turns it says so.
+    pub(crate) fn is_turned_by_hand(&self) -> bool {
+        self.known_by == KnownBy::Report
+    }
+
     /// Whether an image has shown that it is another one than reported.
     pub(crate) fn is_contradicted(&self) -> bool {
         self.objective().contradicted
@@ -80,7 +85,7 @@ impl Knowledge {
         let mut objective = self.objective();
         objective.confirmed = false;
         // Whoever turned it can be asked again; what counts would turn to the same place.
-        objective.contradicted = self.known_by == KnownBy::Report;
+        objective.contradicted = self.is_turned_by_hand();
         objective.contradicted
     }
 
@@ -90,7 +95,7 @@ impl Knowledge {
         let mut objective = self.objective();
         objective.changing = true;
         objective.contradicted = false;
-        if self.known_by == KnownBy::Report {
+        if self.is_turned_by_hand() {
             objective.confirmed = false;
         }
     }

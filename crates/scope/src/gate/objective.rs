@@ -38,6 +38,11 @@ impl MotionGate {
         self.knowledge.is_reported()
     }
 
+    /// Whether somebody is asked to change the objective, and says when it is done.
+    pub fn objective_is_turned_by_hand(&self) -> bool {
+        self.knowledge.is_turned_by_hand()
+    }
+
     /// An image has shown that the active objective is the one that [`MotionGate::current_objective`] tells.
     pub fn confirm_objective(&self) {
         self.knowledge.confirm();

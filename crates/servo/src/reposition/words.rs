@@ -159,9 +159,24 @@ fn remark(remark: &Remark) -> String {
                 parts.join(", ")
             )
         }
-        Remark::Beside { objective, um } => format!(
+        Remark::Beside {
+            objective,
+            um,
+            share_of_way: None,
+        } => format!(
             "When {objective} came in the view lay {um:.0} um beside where it was to be: either the slide or the stage was moved meanwhile, or \
              lost steps, or the calibration has drifted, which `check` tells"
+        ),
+        Remark::Beside {
+            objective,
+            um,
+            share_of_way: Some(share),
+        } => format!(
+            "When {objective} came in the view lay {um:.0} um {} where it was to be, {:.0} % of its way: either moves come out {}, or the scale \
+             of the calibration has drifted, which `check` tells, or the slide or the stage was moved meanwhile",
+            if *share < 0.0 { "short of" } else { "past" },
+            100.0 * share.abs(),
+            if *share < 0.0 { "short" } else { "long" },
         ),
         Remark::ScalesDisagree { objective, factor } => format!(
             "The calibration drifted: beside the target's objective the scale of {objective} is {:+.1} % off. Run `check` for both",

@@ -35,6 +35,9 @@ pub enum Remark {
         objective: ObjectiveId,
         /// How far, um.
         um: f64,
+        /// Where it lay on the line that the view went, by so large a share of its way too far; negative: short of it.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        share_of_way: Option<f64>,
     },
     /// Beside the target's, this objective's scale is so many times what the calibrations say.
     ScalesDisagree {

@@ -4,6 +4,7 @@ use super::promise::{DRIFTED_CENTRE_M, Fits, Kept, Mover, Promise, Promised};
 use super::refit::{Refit, Remark};
 use crate::attempt::Tried;
 use crate::{Attempt, Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity};
+use scopeservo_geometry::Vec2;
 use scopeservo_scope::ObjectiveId;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -71,6 +72,17 @@ const BROKEN: u8 = 2;
 /// So many more frames are looked at before it is said that nothing moved.
 const LOOKS: u8 = 8;
 
+/// What lies beside a way by less than this share of how far it is off lies on its line.
+const ON_LINE: f64 = 0.25;
+
+/// By how much of its way a view went too far, where it ended on the line that it was to go.
+fn share_of_way(way_m: Vec2, off_m: Vec2) -> Option<f64> {
+    let ([x, y], [a, b]) = (way_m, off_m);
+    let (along, across) = (x * a + y * b, x * b - y * a);
+    let far_sq = x * x + y * y;
+    (across.abs() < ON_LINE * f64::hypot(along, across)).then_some(along / far_sq)
+}
+
 impl Watch {
     /// In another leg. `first`: its objective has not seen the target yet.
     pub(crate) fn handed_over(self, first: bool) -> Self {
@@ -131,6 +143,7 @@ impl Watch {
                     true if kept == Kept::Drifted => self.remarks.push(Remark::Beside {
                         objective: mover.view.objective.clone(),
                         um: 1e6 * f64::hypot(off_m[0], off_m[1]),
+                        share_of_way: share_of_way(way_m, off_m),
                     }),
                     true => {}
                     false => {
@@ -290,5 +303,23 @@ impl Watch {
     pub(crate) fn stops(&self) -> Option<Contradiction> {
         let broken = self.broken.filter(|(count, _)| *count >= BROKEN);
         broken.map(|_| self.why())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_ends_on_its_line_is_told_as_a_share_of_its_way() {
+        let way_m = [3e-4, -4e-4];
+        let of = |off_m| share_of_way(way_m, off_m);
+        let is = |share: Option<f64>, right: f64| share.is_some_and(|s| (s - right).abs() < 1e-9);
+        assert!(is(of([-3e-5, 4e-5]), -0.1), "a tenth short");
+        assert!(is(of([6e-5, -8e-5]), 0.2), "a fifth too far");
+        assert!(of([-2.5e-5, 4.4e-5]).is_some_and(|s| (s + 0.1).abs() < 0.01));
+        assert_eq!(of([4e-5, 3e-5]), None, "aside");
+        assert_eq!(of([-7e-5, 1e-5]), None, "half aside");
+        assert_eq!(share_of_way([0.0; 2], [1e-5, 0.0]), None, "no way");
     }
 }

@@ -13,7 +13,7 @@ use scopeservo_servo::{
     Reposition, Target, Verdict, run,
 };
 use scopeservo_twin::StageFault;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// Counts the looks at places, once they have begun.
@@ -119,8 +119,8 @@ fn a_stop_while_places_are_looked_at_stands_still_and_what_was_stopped_goes_on()
     assert!(um <= 1.5 && deg <= 0.05, "{um} um, {deg} deg");
 }
 
-/// A nosepiece that nobody but an image confirms, as one that is turned by hand.
-struct Hearsay(Box<dyn Nosepiece>);
+/// A nosepiece that is turned by hand, which nobody but an image confirms; with what was asked for.
+struct Hearsay(Box<dyn Nosepiece>, Arc<Mutex<Vec<String>>>);
 
 impl Nosepiece for Hearsay {
     fn objectives(&self) -> &[Objective] {
@@ -130,6 +130,7 @@ impl Nosepiece for Hearsay {
         self.0.current()
     }
     fn start_change(&self, to: &ObjectiveId) -> Result<(), ScopeError> {
+        self.1.lock().unwrap().push(to.0.clone());
         self.0.start_change(to)
     }
     fn poll(&self) -> Result<Motion, ScopeError> {
@@ -154,13 +155,16 @@ fn where_nothing_is_in_focus_at_any_place_a_run_ends_though_only_images_tell_the
             near: smear_of(per_mm2, 101),
         };
         let bench = bench_over(config(), Arc::new(specimen), Vec::new());
+        let asked = Arc::<Mutex<Vec<String>>>::default();
         let devices = Devices {
-            nosepiece: Some(Box::new(Hearsay(bench.twin.nosepiece()))),
+            nosepiece: Some(Box::new(Hearsay(bench.twin.nosepiece(), asked.clone()))),
             ..bench.twin.devices()
         };
         let scope = Instrument::new(devices, bench.twin.rules(), CancelToken::new()).unwrap();
         bring(&scope, "10x");
         bench.twin.remount(SAVED_UM, [260.0, -170.0], 4.0, false);
+        let began = scope.gate().position().unwrap();
+        asked.lock().unwrap().clear();
         let mut machine = back(target.clone());
         let mut steps = 0;
         let outcome = loop {
@@ -174,6 +178,16 @@ fn where_nothing_is_in_focus_at_any_place_a_run_ends_though_only_images_tell_the
         let told = (Verdict::NotFound, Reason::TargetNotInView);
         assert_eq!(said, told, "{}", outcome.message);
         assert!(visited(&outcome).is_some(), "{}", outcome.message);
+        // Nobody is asked to turn it back for nothing.
+        assert_eq!(*asked.lock().unwrap(), ["40x"], "{per_mm2}");
+        let ended = scope.gate().position().unwrap();
+        for axis in [Axis::X, Axis::Y] {
+            let off_um = 1e6 * (ended.si(axis).unwrap() - began.si(axis).unwrap());
+            assert!(
+                off_um.abs() <= 5.0,
+                "{per_mm2}: {axis:?} is {off_um} um off"
+            );
+        }
     }
 }
 

@@ -233,14 +233,17 @@ impl Reposition {
         }
     }
 
-    /// Back to where the view does not tell, with the objective that saw it, after places were looked at in vain; whether there were any.
+    /// Back to where the view does not tell, after places were looked at in vain, and with the objective that saw it, unless somebody would have to turn
+    /// the nosepiece for that; whether there were any.
     pub(super) fn leaves_places(&mut self, scope: &Instrument) -> Result<bool, ServoError> {
         let Some((objective, stood)) = self.visited_from.take() else {
             return Ok(false);
         };
         let present = scope.gate().position()?;
         scope.move_to(&stood.request(&present))?;
-        scope.select_objective(&objective)?;
+        if !scope.gate().objective_is_turned_by_hand() {
+            scope.select_objective(&objective)?;
+        }
         Ok(true)
     }
 }

@@ -164,7 +164,7 @@ fn of_the_stage() -> Vec<Kind> {
             "moves 10 % short",
             Start,
             ArrivesAndTells,
-            &["drifted", "Share(0.9"],
+            &["drifted", "Share(0.9", "beside, -0."],
             |t, _| {
                 goes(t, [[0.9, 0.0], [0.0, 0.9]], 0.9);
             },

@@ -169,6 +169,10 @@ fn names(answer: &Answer) -> Outcome<Vec<String>> {
                 centre_mm,
                 ..
             } => drifted(scale.value, turned_deg.value, centre_mm.map(|k| k.value)).into(),
+            Remark::Beside {
+                share_of_way: Some(share),
+                ..
+            } => format!("beside, {share:.2} of the way"),
             Remark::Beside { .. } => "beside".into(),
             Remark::Blurred { .. } => "blurred".into(),
             Remark::ScalesDisagree { .. } => "scales disagree".into(),
