@@ -37,6 +37,7 @@ impl Affine2 {
     };
 
     /// The image of a point.
+    #[inline]
     pub fn apply(&self, p: Vec2) -> Vec2 {
         let q = self.linear * p;
         [q[0] + self.offset[0], q[1] + self.offset[1]]

@@ -103,6 +103,7 @@ impl Mat2 {
 
 impl Mul for Mat2 {
     type Output = Mat2;
+    #[inline]
     fn mul(self, o: Mat2) -> Mat2 {
         let mut out = [[0.0; 2]; 2];
         for (r, row) in out.iter_mut().enumerate() {
@@ -116,6 +117,7 @@ impl Mul for Mat2 {
 
 impl Mul<Vec2> for Mat2 {
     type Output = Vec2;
+    #[inline]
     fn mul(self, v: Vec2) -> Vec2 {
         self.0.map(|row| row[0] * v[0] + row[1] * v[1])
     }
@@ -123,6 +125,7 @@ impl Mul<Vec2> for Mat2 {
 
 impl Mul<f64> for Mat2 {
     type Output = Mat2;
+    #[inline]
     fn mul(self, k: f64) -> Mat2 {
         Mat2(self.0.map(|row| row.map(|x| x * k)))
     }
@@ -130,6 +133,7 @@ impl Mul<f64> for Mat2 {
 
 impl Add for Mat2 {
     type Output = Mat2;
+    #[inline]
     fn add(self, o: Mat2) -> Mat2 {
         Mat2(std::array::from_fn(|r| {
             std::array::from_fn(|c| self.0[r][c] + o.0[r][c])
@@ -139,6 +143,7 @@ impl Add for Mat2 {
 
 impl Sub for Mat2 {
     type Output = Mat2;
+    #[inline]
     fn sub(self, o: Mat2) -> Mat2 {
         self + o * -1.0
     }

@@ -1,5 +1,6 @@
 //! An image that can be asked for its value anywhere: blurred, so that sampling between pixels changes little.
 
+use rayon::prelude::*;
 use scopeservo_features::GrayImage;
 use scopeservo_geometry::Vec2;
 
@@ -25,12 +26,16 @@ impl Plane {
         let taps: Vec<f32> = taps.iter().map(|t| (t / sum) as f32).collect();
         let data = image.data();
         let mut along = vec![0.0f32; width * height];
-        for (out, row) in along.chunks_exact_mut(width).zip(data.chunks_exact(width)) {
-            blur_line(&taps, width, |x| row[x], |x, v| out[x] = v);
-        }
+        let lines = along.par_chunks_exact_mut(width);
+        lines
+            .zip(data.par_chunks_exact(width))
+            .for_each_init(Vec::new, |padded, (out, row)| {
+                blur_line(&taps, row, out, padded);
+            });
         // Down the columns, a row of sums at a time.
         let mut blurred = vec![0.0f32; width * height];
-        for (y, out) in blurred.chunks_exact_mut(width).enumerate() {
+        let lines = blurred.par_chunks_exact_mut(width).enumerate();
+        lines.for_each(|(y, out)| {
             let mut add = |row: usize, tap: f32| {
                 let row = &along[row * width..][..width];
                 out.iter_mut().zip(row).for_each(|(o, v)| *o += tap * v);
@@ -40,7 +45,7 @@ impl Plane {
                 add(y.saturating_sub(d), tap);
                 add((y + d).min(height - 1), tap);
             }
-        }
+        });
         Self {
             width,
             height,
@@ -117,18 +122,55 @@ impl Plane {
     }
 }
 
-/// One line, mirrored at nothing: beyond an end its last value goes on.
-fn blur_line(
-    taps: &[f32],
-    length: usize,
-    value: impl Fn(usize) -> f32,
-    mut put: impl FnMut(usize, f32),
-) {
-    for x in 0..length {
-        let mut sum = taps[0] * value(x);
-        for (d, tap) in taps.iter().enumerate().skip(1) {
-            sum += tap * (value(x.saturating_sub(d)) + value((x + d).min(length - 1)));
+/// One line into another, a sum for each pixel, a distance at a time: beyond an end its last value goes on.
+fn blur_line(taps: &[f32], line: &[f32], out: &mut [f32], padded: &mut Vec<f32>) {
+    let (reach, length) = (taps.len() - 1, line.len());
+    padded.clear();
+    padded.resize(reach, line[0]);
+    padded.extend_from_slice(line);
+    padded.resize(length + 2 * reach, line[length - 1]);
+    for (o, v) in out.iter_mut().zip(line) {
+        *o = taps[0] * v;
+    }
+    for (d, tap) in taps.iter().enumerate().skip(1) {
+        let (before, after) = (&padded[reach - d..], &padded[reach + d..]);
+        for ((o, b), a) in out.iter_mut().zip(before).zip(after) {
+            *o += tap * (b + a);
         }
-        put(x, sum);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scopeservo_geometry::SplitMix64;
+
+    /// Pixel by pixel, to the last bit: also where the blur reaches farther than the image does.
+    #[test]
+    fn a_blur_is_the_sum_over_its_taps_along_both_axes() {
+        let mut rng = SplitMix64::new(3);
+        for (width, height, sigma_px) in [(37, 23, 1.0), (9, 40, 6.0), (1, 1, 2.0)] {
+            let image = GrayImage::from_fn(width, height, |_, _| rng.uniform() as f32).unwrap();
+            let reach = (3.0f64 * sigma_px).ceil() as usize;
+            let weight = |d: usize| (-0.5 * (d as f64 / sigma_px).powi(2)).exp();
+            let all = 2.0 * (0..=reach).map(weight).sum::<f64>() - 1.0;
+            let tap = |d: usize| (weight(d) / all) as f32;
+            let along = |x: usize, y: usize| {
+                let value = |x: usize| image.get(x, y);
+                let first = tap(0) * value(x);
+                (1..=reach).fold(first, |sum, d| {
+                    sum + tap(d) * (value(x.saturating_sub(d)) + value((x + d).min(width - 1)))
+                })
+            };
+            let plane = Plane::new(&image, sigma_px);
+            for (i, value) in plane.values().iter().enumerate() {
+                let (x, y) = (i % width, i / width);
+                let sum = (1..=reach).fold(tap(0) * along(x, y), |sum, d| {
+                    let sum = sum + tap(d) * along(x, y.saturating_sub(d));
+                    sum + tap(d) * along(x, (y + d).min(height - 1))
+                });
+                assert_eq!(value.to_bits(), sum.to_bits(), "{x} {y} of {width} x {height}");
+            }
+        }
     }
 }

@@ -79,14 +79,21 @@ impl Canvas {
     /// The colour of every sample: glass, darkened by `contrast` of the light taken, more in one colour than in another.
     /// `holes` take no light where all else does.
     pub(super) fn rgb(&self, contrast: f64, tint: [f64; 3], holes: bool) -> Vec<u8> {
-        let mut out = Vec::with_capacity(3 * self.taken.len());
-        for &taken in &self.taken {
+        let colour = |taken: f32| {
             let taken = if holes { 1.0 - taken } else { taken };
-            let colour = |c: usize| {
+            [0, 1, 2].map(|c| {
                 let light = 1.0 - contrast * tint[c] * f64::from(taken);
                 (f64::from(GLASS[c]) * light).round().clamp(0.0, 255.0) as u8
-            };
-            out.extend([0, 1, 2].map(colour));
+            })
+        };
+        let mut out = Vec::with_capacity(3 * self.taken.len());
+        // Most of a tile is glass: what the sample before has, this one has.
+        let (mut before, mut told) = (0.0, colour(0.0));
+        for &taken in &self.taken {
+            if taken != before {
+                (before, told) = (taken, colour(taken));
+            }
+            out.extend_from_slice(&told);
         }
         out
     }
