@@ -31,21 +31,26 @@ pub fn undecided(
     counts: impl Fn(Vec2) -> bool,
 ) -> Option<Rival> {
     let transform = &first.target_from_view;
-    let open = |rivals: &[Rival]| open(pictures, transform, rivals, trusted, &counts);
+    let open = |rivals: &[Rival], unsure_px: f64| {
+        open(pictures, transform, (rivals, unsure_px), trusted, &counts)
+    };
     let shifted = shifted(first, periods_px);
-    open(&[&shifted, rivals].concat()).or_else(|| open(&turned(first, target, periods_px)))
+    open(&[&shifted, rivals].concat(), 0.0).or_else(|| {
+        let (turned, unsure_px) = turned(first, target, periods_px);
+        open(&turned, unsure_px)
+    })
 }
 
-/// The nearest of some rivals that nothing tells from the first transform.
+/// The nearest of some rivals, whose places are known to so many pixels of the target, that nothing tells from the first transform.
 fn open(
     pictures: &Pair,
     first: &Affine2,
-    rivals: &[Rival],
+    (rivals, unsure_px): (&[Rival], f64),
     trusted: bool,
     counts: impl Fn(Vec2) -> bool,
 ) -> Option<Rival> {
     let is_open = |rival: &&Rival| {
-        let second = pictures.refined(&rival.target_from_view);
+        let second = pictures.refined(&rival.target_from_view, unsure_px);
         let seen = pictures
             .compare(first, &second, &counts)
             .unwrap_or_default();

@@ -243,10 +243,21 @@ impl Pair {
         Some(seen.collect())
     }
 
-    /// The transform near `rough`, shifted by up to a pixel and a half of the coarser image, under which the patches correlate
-    /// most.
-    pub fn refined(&self, rough: &Affine2) -> Affine2 {
+    /// The transform near `rough`, which is shifted by up to `unsure_px` of the target, under which the patches correlate most: looked for in whole
+    /// pixels of the coarser image, and then up to a pixel and a half about the best.
+    pub fn refined(&self, rough: &Affine2, unsure_px: f64) -> Affine2 {
         const STEPS: [f64; 7] = [0.0, -0.5, 0.5, -1.0, 1.0, -1.5, 1.5];
+        let coarse_px = rough.linear.det().abs().sqrt().max(1.0);
+        let wide = (unsure_px / coarse_px).ceil() as i64;
+        let near = match wide as f64 > STEPS[6] {
+            true => self.most_alike(rough, (-wide..=wide).map(|k| k as f64)),
+            false => *rough,
+        };
+        self.most_alike(&near, STEPS.into_iter())
+    }
+
+    /// Of shifts by all pairs of `steps`, pixels of the coarser image, the one under which the patches correlate most; of equals the first.
+    fn most_alike(&self, rough: &Affine2, steps: impl Iterator<Item = f64> + Clone) -> Affine2 {
         // A hundred patches are enough.
         let every = (self.patches().count() / 100).max(1);
         let coarse_px = rough.linear.det().abs().sqrt().max(1.0);
@@ -273,9 +284,9 @@ impl Pair {
             // Patches without structure add only noise.
             seen.map(|l| l.correlation * l.variance.sqrt()).sum::<f64>()
         };
-        let all = STEPS
-            .iter()
-            .flat_map(|&dy| STEPS.iter().map(move |&dx| shifted(dx, dy)));
+        let all = steps
+            .clone()
+            .flat_map(|dy| steps.clone().map(move |dx| shifted(dx, dy)));
         let mut best = (f64::NEG_INFINITY, *rough);
         for transform in all {
             let s = score(&transform);

@@ -169,7 +169,11 @@ mod tests {
                     let sum = sum + tap(d) * along(x, y.saturating_sub(d));
                     sum + tap(d) * along(x, (y + d).min(height - 1))
                 });
-                assert_eq!(value.to_bits(), sum.to_bits(), "{x} {y} of {width} x {height}");
+                assert_eq!(
+                    value.to_bits(),
+                    sum.to_bits(),
+                    "{x} {y} of {width} x {height}"
+                );
             }
         }
     }

@@ -22,19 +22,24 @@ const MOST: usize = 3;
 const ALIKE: f32 = 0.25;
 
 /// The first transform, followed by each turn under which the target may look like itself: rivals that need no feature to be thought of.
-/// None of a target without two periods; without any nothing is computed.
-pub(crate) fn turned(first: &Estimate, target: &GrayImage, periods_px: &[Vec2]) -> Vec<Rival> {
+/// None of a target without two periods; without any nothing is computed. Also to how many pixels of the target along each axis their places are known.
+pub(crate) fn turned(
+    first: &Estimate,
+    target: &GrayImage,
+    periods_px: &[Vec2],
+) -> (Vec<Rival>, f64) {
+    let none = (Vec::new(), 0.0);
     if periods_px.is_empty() {
-        return Vec::new();
+        return none;
     }
     let Some(likeness) = SelfLikeness::of(target) else {
-        return Vec::new();
+        return none;
     };
     let [a, b] = likeness.shortest_periods()[..] else {
-        return Vec::new();
+        return none;
     };
     let Some(odd) = Odd::of(target, [a, b]) else {
-        return Vec::new();
+        return none;
     };
     // Where a rival lands is told of the target's middle.
     let middle = centre([target.width(), target.height()]);
@@ -42,12 +47,11 @@ pub(crate) fn turned(first: &Estimate, target: &GrayImage, periods_px: &[Vec2]) 
     let turns = turns_of([a, b])
         .into_iter()
         .flat_map(|turn| odd.about(turn));
-    turns
-        .filter_map(|turn| {
-            let other = turn.after(&first.target_from_view);
-            Rival::beside(&first.target_from_view, &other, at?, [0, 0])
-        })
-        .collect()
+    let rivals = turns.filter_map(|turn| {
+        let other = turn.after(&first.target_from_view);
+        Rival::beside(&first.target_from_view, &other, at?, [0, 0])
+    });
+    (rivals.collect(), 0.5 * odd.every as f64)
 }
 
 /// Linear parts of the turns that take a lattice onto itself: whole numbers in the basis of its periods, of a determinant of 1, that come
@@ -241,7 +245,7 @@ mod tests {
                 let p = r.target_from_view.apply(missing);
                 f64::hypot(p[0] - missing[0], p[1] - missing[1]) < 2.0
             };
-            assert!(all.iter().filter(near).any(stays), "{angle}: {all:?}");
+            assert!(all.0.iter().filter(near).any(stays), "{angle}: {all:?}");
         }
     }
 }

@@ -1,5 +1,8 @@
 //! Specimens that look alike turned: what two images of them say is never one place for sure, and what a mark tells apart is right.
 
+mod common;
+
+use common::{Scene, placed};
 use rayon::prelude::*;
 use scopeservo_features::{Engine, GrayImage};
 use scopeservo_geometry::{Affine2, Mat2, SplitMix64, Vec2};
@@ -198,5 +201,40 @@ fn transforms_that_differ_by_a_hair_explain_the_same_patches() {
         let seen = pair.compare(&first, &second, |_| true).unwrap();
         assert!(seen.structured > 300 && seen.both == seen.first, "{seen:?}");
         assert_eq!([seen.first_only, seen.second_only], [0, 0]);
+    }
+}
+
+/// What is known to some pixels is found among them.
+#[test]
+fn a_place_that_is_known_to_some_pixels_is_refined_from_there() {
+    let scene = Scene::random(9, 900, 400.0, 2.5..12.0);
+    let size = [320, 240];
+    let middle = size.map(|n| (n as f64 - 1.0) / 2.0);
+    for ratio in [1.0, 2.0] {
+        let target_from_scene = placed(1.0, 0.0, [0.0; 2], middle);
+        let view_from_scene = placed(1.0 / ratio, -20.0, [6.0, -4.0], middle);
+        let target = scene.frame(size, &target_from_scene, 0.008, 1);
+        let view = scene.frame(size, &view_from_scene, 0.008, 2);
+        let truth = target_from_scene.after(&view_from_scene.inverse().unwrap());
+        let pair = Pair::new(&view, &target, ratio);
+        for [x, y] in [[3.6, -2.8], [-6.3, 5.9], [0.3, 0.2]] {
+            let rough = Affine2 {
+                offset: [truth.offset[0] + x * ratio, truth.offset[1] + y * ratio],
+                ..truth
+            };
+            let off_px = |unsure_px: f64| {
+                let told = pair.refined(&rough, unsure_px);
+                let d = [0, 1].map(|k| told.offset[k] - truth.offset[k]);
+                f64::hypot(d[0], d[1]) / ratio
+            };
+            assert!(
+                off_px(6.5 * ratio) < 0.5,
+                "{ratio} {x} {y}: {}",
+                off_px(6.5 * ratio)
+            );
+            // Nearer than a pixel and a half it need not be told.
+            let near = f64::hypot(x, y) < 1.5;
+            assert_eq!(off_px(0.0) < 0.5, near, "{ratio} {x} {y}: {}", off_px(0.0));
+        }
     }
 }

@@ -368,8 +368,13 @@ fn after_a_change_it_comes_back_in_allowed_steps_and_short_of_an_unknown_focus()
     // Where both were in focus the difference counts.
     scope.focus_found(&id("10x"), Length::from_um(200.0));
     scope.focus_found(&id("40x"), Length::from_um(-300.0));
+    scope.move_to(&z(-0.4e-3)).unwrap();
     scope.select_objective(&id("10x")).unwrap();
-    assert!((height() - 0.5e-3).abs() < 1e-9, "{}", height());
+    assert!((height() - 0.1e-3).abs() < 1e-9, "{}", height());
+    // Nearer to the specimen than focus, which costs the one nothing, the other one does not come.
+    scope.move_to(&z(0.9e-3)).unwrap();
+    scope.select_objective(&id("40x")).unwrap();
+    assert!((height() + 0.3e-3).abs() < 1e-9, "{}", height());
     assert!(
         devices.world().broken.is_empty(),
         "{:?}",

@@ -27,6 +27,23 @@ impl PoseError {
     pub fn angle_deg(&self) -> f64 {
         self.theta_rad.to_degrees()
     }
+
+    /// The mean of some, which lie near to each other: at half a turn as well, where their angles have either sign.
+    pub(crate) fn mean(all: impl ExactSizeIterator<Item = Self> + Clone) -> Self {
+        let n = all.len().max(1) as f64;
+        let first_rad = all.clone().next().map_or(0.0, |e| e.theta_rad);
+        let sum = |f: &dyn Fn(&Self) -> f64| all.clone().map(|e| f(&e)).sum::<f64>() / n;
+        Self {
+            t_m: [sum(&|e| e.t_m[0]), sum(&|e| e.t_m[1])],
+            theta_rad: wrapped(first_rad + sum(&|e| wrapped(e.theta_rad - first_rad))),
+        }
+    }
+}
+
+/// An angle within half a turn of none.
+pub(crate) fn wrapped(angle_rad: f64) -> f64 {
+    let turns = (angle_rad / std::f64::consts::TAU).round();
+    angle_rad - turns * std::f64::consts::TAU
 }
 
 /// The error `e = s - s*`, s the pose of {C} in {C*}, from the measured `target_from_view` (J_t of Eq. 10).

@@ -2,14 +2,15 @@
 
 mod common;
 
-use common::{Bench, bench_seeded, options};
+use common::{Bench, PLACE_UM, bench_seeded, options};
 use scopeservo_scope::{Axis, GateEvent, Instrument, Length, ObjectiveId, StagePose};
 use scopeservo_servo::{
-    Bring, Calibrate, Calibration, FocusOptions, NoSink, Outcome, Reposition, ServoError,
-    Switching, SwitchingOptions, SwitchingReport, Target, Verdict, VisionOptions, run,
+    Bring, Calibrate, Calibration, FocusOptions, NoSink, Outcome, Reposition, RepositionOptions,
+    ServoError, ServoOptions, Switching, SwitchingOptions, SwitchingReport, Target, Verdict,
+    VisionOptions, run,
 };
 use scopeservo_twin::specimen::Blank;
-use scopeservo_twin::{Config, Twin};
+use scopeservo_twin::{Config, StageConfig, Twin};
 use std::sync::{Arc, Mutex};
 
 fn two_objectives() -> Config {
@@ -185,6 +186,65 @@ fn a_target_that_a_switch_takes_out_of_the_field_is_found_where_the_switch_is_kn
     for (calibrations, switchings) in [(&alone, vec![told]), (&calibrations, Vec::new())] {
         let known = back(&bench, calibrations, switchings);
         assert_eq!(known.verdict, Verdict::Arrived, "{}", known.message);
+    }
+}
+
+/// Where the slide lies end for end and stays so, the next objective looks aside the other way round.
+#[test]
+fn a_reversed_slide_on_a_stage_that_cannot_turn_is_handed_over_to_where_the_next_objective_looks() {
+    let mut config = Config::realistic().with_stage(StageConfig::xyz());
+    config.optics.remove(1);
+    config.nosepiece.parcentric_um = 80.0;
+    let bench = (0..200)
+        .map(|seed| bench_seeded(config.clone(), seed))
+        .find(|bench| {
+            let [x, y] = true_offset_um(&bench.twin, ["10x", "40x"]);
+            (90.0..120.0).contains(&f64::hypot(x, y))
+        })
+        .unwrap();
+    let calibrations = calibrated(&bench.scope);
+    let three = SwitchingOptions {
+        times: 3,
+        ..SwitchingOptions::default()
+    };
+    let mut switching = Switching::new(calibrations.clone(), three);
+    let told = run(&mut switching, &bench.scope, &mut NoSink).unwrap();
+    let target = {
+        let id = ObjectiveId("40x".into());
+        let focus = Some(FocusOptions::default());
+        let mut bring = Bring::new(id, focus, VisionOptions::default());
+        run(&mut bring, &bench.scope, &mut NoSink).unwrap();
+        Target::save(&bench.scope, &VisionOptions::default(), &mut NoSink).unwrap()
+    };
+    for turned_deg in [0.0, 180.0, 90.0] {
+        let aside = [0, 1].map(|k| PLACE_UM[k] + [38.0, -24.0][k]);
+        bench.twin.centre_specimen(aside, turned_deg);
+        let known = calibrations
+            .iter()
+            .map(|c| (c.objective.clone(), c.clone()));
+        let options = RepositionOptions {
+            servo: ServoOptions {
+                within_deg: Some(181.0),
+                ..options().servo
+            },
+            ..options()
+        };
+        let mut back = Reposition::new(target.clone(), options)
+            .with_calibrations(known)
+            .with_switchings(vec![told.clone()]);
+        let outcome = run(&mut back, &bench.scope, &mut NoSink).unwrap();
+        assert_eq!(
+            outcome.verdict,
+            Verdict::Arrived,
+            "{turned_deg}: {}",
+            outcome.message
+        );
+        let legs: Vec<&str> = outcome
+            .magnifications
+            .iter()
+            .map(|m| m.objective.0.as_str())
+            .collect();
+        assert_eq!(legs, ["10x", "40x"], "{turned_deg}: {}", outcome.message);
     }
 }
 

@@ -55,11 +55,21 @@ impl Shared {
         control.set(JobState::Running);
         let info = control.info.clone();
         self.bus.station(StationEvent::JobBegan { info });
+        let ended = self.steps(control, &mut case);
+        case.leave(&self.scope);
+        ended
+    }
+
+    fn steps<U: UseCase>(
+        &self,
+        control: &Arc<Control>,
+        case: &mut U,
+    ) -> Result<U::Output, JobError> {
         let mut work = Work::new(self, control);
         let mut step = 0;
         loop {
             self.await_leave_to_go_on(control)?;
-            let state = || serde_json::to_vec(&case).map_err(|e| JournalError(e.to_string()));
+            let state = || serde_json::to_vec(case).map_err(|e| JournalError(e.to_string()));
             if case.can_go_on() {
                 self.journal.before_step(&control.info, step, &state)?;
             }

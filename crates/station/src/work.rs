@@ -29,6 +29,9 @@ pub trait UseCase: Serialize + Send + 'static {
     /// # Errors
     /// Where there is no answer.
     fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<Self::Output>, JobError>;
+
+    /// Leaves the instrument set as it was found, however the job ends: also by a stop between two steps. What fails is no answer to the job.
+    fn leave(&mut self, _scope: &Instrument) {}
 }
 
 /// What a use case may touch.

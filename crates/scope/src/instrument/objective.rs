@@ -12,8 +12,8 @@ impl Instrument {
     /// Brings an objective into the beam and waits for it. Does nothing when it is there already.
     ///
     /// Where the rules say so, the stage retracts first, and afterwards comes back to where the new objective is expected in focus:
-    /// as much higher or lower as it was found to be in focus before, or short of the old height by the rule's margin. A
-    /// stage that was retracted already stays so.
+    /// as much higher or lower as it was found to be in focus before, or short of the old height by the rule's margin. Where it stood nearer
+    /// to the specimen than the last objective was found in focus, this counts from that focus. A stage that was retracted already stays so.
     ///
     /// Where the objective works in another medium than the one before, somebody is asked first, before anything moves; that answer
     /// is for this one change.
@@ -46,12 +46,17 @@ impl Instrument {
             (error, _) => error,
         })?;
         if let Some(work) = work {
-            let here = work.here_m;
             let focus = self.focus_positions();
-            let known = before.and_then(|old| Some((focus.get(&old)?, focus.get(id)?)));
-            let expected = match known {
-                Some((old, new)) => here + (new.m() - old.m()),
-                None => side.away(here, margin),
+            let of = |id: &ObjectiveId| focus.get(id).map(|height| height.m());
+            let old = before.as_ref().and_then(of);
+            // Nearer to the specimen than the last objective was in focus, which may cost that one nothing, this one does not come.
+            let from = match old {
+                Some(old) if side.nearer_by(work.here_m, old) > 0.0 => old,
+                _ => work.here_m,
+            };
+            let expected = match old.zip(of(id)) {
+                Some((old, new)) => from + (new - old),
+                None => side.away(from, margin),
             };
             // In steps that are allowed.
             let longest = self.gate.rules().largest_steps.iter();

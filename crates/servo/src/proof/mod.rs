@@ -298,12 +298,28 @@ fn key(x: f32, y: f32) -> (u32, u32) {
 /// Whether what is fixed to the camera would be seen to disagree: the view's centre lies far from the target's.
 pub(crate) fn far_from_goal(target_from_view: &Affine2, centre: Vec2, target_centre: Vec2) -> bool {
     let q = target_from_view.apply(centre);
-    f64::hypot(q[0] - target_centre[0], q[1] - target_centre[1]) >= SEEN_PX
+    // In pixels of the finer image: a step aside is so long in those of the view.
+    let seen_px = SEEN_PX * target_from_view.linear.det().abs().sqrt().min(1.0);
+    f64::hypot(q[0] - target_centre[0], q[1] - target_centre[1]) >= seen_px
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A step aside is so many pixels of the view, which are fewer of a target of coarser ones.
+    #[test]
+    fn a_step_aside_is_far_from_the_goal_whichever_of_the_two_has_the_finer_pixels() {
+        for scale in [0.3, 0.5, 1.0, 2.0, 4.0] {
+            let aside = |view_px: f64| Affine2 {
+                linear: scopeservo_geometry::Mat2::diagonal(scale, scale),
+                offset: [scale * view_px, 0.0],
+            };
+            let far = |view_px| far_from_goal(&aside(view_px), [0.0; 2], [0.0; 2]);
+            assert!(far(16.0), "{scale}");
+            assert!(!far(2.0), "{scale}");
+        }
+    }
 
     #[test]
     fn a_view_that_stays_when_the_stage_moves_does_not_follow() {

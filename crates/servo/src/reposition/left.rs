@@ -28,17 +28,22 @@ impl Left {
     ) -> Self {
         let angle_deg = result.error.angle_deg().abs();
         let view_um = view.image_size_px.map(|px| px as f64 * view.um_per_px());
-        let share = |of_area: f64| {
+        let share = |of_area: f64, error: &PoseError| {
             let size = target_um.map(|side| side * of_area.sqrt());
-            share_in_view(&result.error, size, view_um)
+            share_in_view(error, size, view_um)
         };
-        let sure_deg = angle_deg - 2.0 * result.sigma_deg;
+        let surely_deg = angle_deg + 2.0 * result.sigma_deg;
+        // A view that is smaller than the target shows no more of it unturned.
+        let straight = PoseError {
+            theta_rad: 0.0,
+            ..result.error
+        };
         Self {
             angle_deg,
-            in_view: share(1.0),
+            in_view: share(1.0, &result.error),
             is_too_much: match within_deg {
-                Some(within_deg) => sure_deg > within_deg,
-                None => share(MIDDLE) < ALL,
+                Some(within_deg) => surely_deg > within_deg,
+                None => share(MIDDLE, &result.error) < ALL * share(MIDDLE, &straight),
             },
         }
     }
@@ -130,5 +135,65 @@ mod tests {
         assert!(share(0.0, 0.0, 35.0, middle) < ALL);
         assert!(share(0.0, 0.0, 55.0, middle) < ALL);
         assert!(share(0.0, 0.0, 178.0, middle) > 1.0 - 1e-9);
+    }
+
+    /// Left by a view of 320 um with an angle known to `sigma_deg`, of a target of a width.
+    fn left(deg: f64, sigma_deg: f64, target_um: f64, within_deg: Option<f64>) -> Left {
+        let view = Calibration {
+            schema: crate::CALIBRATION_SCHEMA,
+            objective: scopeservo_scope::ObjectiveId("40x".into()),
+            image_size_px: [640, 480],
+            stage_from_pixel: Mat2::diagonal(0.5e-6, 0.5e-6),
+            rotation_centre_m: None,
+            covariance: None,
+            backlash: None,
+            scatter: None,
+        };
+        let result = ServoResult {
+            iterations: 2,
+            inliers: 50,
+            error: PoseError {
+                t_m: [0.0; 2],
+                theta_rad: deg.to_radians(),
+            },
+            sigma_um: 0.01,
+            sigma_deg,
+            limited_by: None,
+            angle_is_left: true,
+        };
+        Left::of(&result, [target_um, 0.75 * target_um], &view, within_deg)
+    }
+
+    /// An angle is claimed to be within what was asked only where it surely is.
+    #[test]
+    fn an_angle_that_may_be_more_than_what_was_asked_is_too_much() {
+        for (deg, sigma_deg, too_much) in [
+            (0.25, 0.1, true),
+            (0.09, 0.02, true),
+            (0.05, 0.02, false),
+            (-0.2, 0.001, true),
+            (-0.05, 0.001, false),
+        ] {
+            let told = left(deg, sigma_deg, 320.0, Some(0.1));
+            assert_eq!(told.is_too_much, too_much, "{deg} {sigma_deg}");
+        }
+    }
+
+    /// A target that was saved by a camera that sees more is no more turned for it.
+    #[test]
+    fn a_view_that_is_smaller_than_the_target_shows_all_that_it_can() {
+        for target_um in [100.0, 320.0, 500.0, 900.0] {
+            assert!(
+                !left(0.0, 0.001, target_um, None).is_too_much,
+                "{target_um}"
+            );
+            assert!(
+                !left(180.0, 0.001, target_um, None).is_too_much,
+                "{target_um}"
+            );
+        }
+        assert!((left(0.0, 0.001, 640.0, None).in_view - 0.25).abs() < 1e-9);
+        assert!(left(40.0, 0.001, 320.0, None).is_too_much);
+        assert!(left(40.0, 0.001, 500.0, None).is_too_much);
     }
 }

@@ -16,9 +16,9 @@ const NEAR: f64 = 1.5;
 /// So many frames at most, each exposed by this factor longer or shorter at most.
 const FRAMES: usize = 5;
 const STEP: f64 = 16.0;
-/// What is wanted where the target has no image of its own, and between what.
+/// What is wanted where the target has no image of its own, and at most.
 const WANTED: f64 = 0.6;
-const WANTED_BETWEEN: (f64, f64) = (0.1, 0.85);
+const WANTED_AT_MOST: f64 = 0.85;
 
 /// How bright an image is.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,18 +42,23 @@ impl Light {
         Self { level, saturated }
     }
 
-    /// That of the target.
+    /// That of the target. However dark its ground is, as in dark field, a view that has the same is exposed as it was.
     fn wanted(target: &Target) -> Self {
         let image = target.gray().ok();
-        let of = image.map(|image| Self::of(image.data()));
-        let of = of.unwrap_or(Self {
-            level: WANTED,
-            saturated: 0.0,
-        });
-        let (least, most) = WANTED_BETWEEN;
+        image.map_or(
+            Self {
+                level: WANTED,
+                saturated: 0.0,
+            },
+            |image| Self::of(image.data()).attainable(),
+        )
+    }
+
+    /// No more than can be seen not to be too bright.
+    fn attainable(self) -> Self {
         Self {
-            level: of.level.clamp(least, most),
-            ..of
+            level: self.level.min(WANTED_AT_MOST),
+            ..self
         }
     }
 
@@ -63,7 +68,7 @@ impl Light {
             // How far above is not seen.
             return Some(1.0 / STEP.sqrt());
         }
-        let factor = wanted.level / self.level.max(wanted.level / STEP);
+        let factor = wanted.level / self.level.max(wanted.level / STEP).max(f64::MIN_POSITIVE);
         (factor > far || self.saturated > 0.0 && factor < 1.0 / NEAR).then_some(factor)
     }
 }
@@ -130,5 +135,14 @@ mod tests {
         let half = Light::of(&half);
         assert_eq!(half.factor(&half, far), None);
         assert_eq!(Light::of(&[]).level, 0.0);
+        // Bright cells on a dark ground, and a sensor of 10 bits that counts to 16.
+        for (ground, cells) in [(0.012f32, 0.47f32), (0.004, 0.015), (0.0, 0.3)] {
+            let mut dark = vec![ground; 950];
+            dark.resize(1000, cells);
+            let wanted = Light::of(&dark).attainable();
+            assert_eq!(Light::of(&dark).factor(&wanted, far), None, "{ground}");
+        }
+        let bright = of(0.97).attainable();
+        assert!((bright.level - WANTED_AT_MOST).abs() < 1e-9);
     }
 }

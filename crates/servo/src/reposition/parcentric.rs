@@ -108,10 +108,11 @@ fn between(from: &[Known; 2], to: &[Known; 2]) -> [Known; 2] {
     })
 }
 
-/// Brings what was in the middle of the view of one objective into the middle of the next one's, which is active now, where it would lie aside by
-/// a good part of the field. `um_per_px` is that of the view.
+/// Brings what was in the middle of the view of one objective, where the stage stood at `ended_at`, into the middle of the next one's, which is
+/// active now, where it would lie aside by a good part of the field: however often that is asked. `um_per_px` is that of the view.
 pub(super) fn keep_centre(
     scope: &Instrument,
+    ended_at: Option<PlanarPose>,
     offset_um: [Known; 2],
     um_per_px: f64,
 ) -> Result<(), ServoError> {
@@ -129,7 +130,8 @@ pub(super) fn keep_centre(
         d_m: offset_um.map(|k| -1e-6 * k.value),
     };
     let kinematics = scope.gate().info().kinematics;
-    let goal = pose_after(kinematics, &PlanarPose::from(&here), &motion);
+    let from = ended_at.unwrap_or_else(|| PlanarPose::from(&here));
+    let goal = pose_after(kinematics, &from, &motion);
     match scope.move_to(&goal.request(&here)) {
         // The servo goes as far as it may.
         Err(error) if error.kind() == ErrorKind::Refused => Ok(()),

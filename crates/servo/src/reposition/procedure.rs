@@ -115,9 +115,18 @@ pub struct Reposition {
     /// What was done about a view that was less sharp than the target.
     #[serde(default)]
     sharpening: Sharpening,
+    /// Where the stage stood when the last leg ended.
+    #[serde(default)]
+    ended_at: Option<PlanarPose>,
+    /// Whether a change of objective has led where nothing is in focus, and the stage went back.
+    #[serde(default)]
+    came_back: bool,
     /// How the camera exposed before the run changed that.
     #[serde(default)]
     exposure_before: Option<Duration>,
+    /// How it exposes since.
+    #[serde(default)]
+    exposes: Option<Duration>,
     /// Where the target may lie, by the last loop that did not find it.
     #[serde(default)]
     may_lie_at: Option<MayLieAt>,
@@ -149,6 +158,9 @@ impl Reposition {
             tried: Tried::default(),
             sharpening: Sharpening::default(),
             exposure_before: None,
+            exposes: None,
+            ended_at: None,
+            came_back: false,
             may_lie_at: None,
             visit: None,
             visited_from: None,
@@ -159,6 +171,19 @@ impl Reposition {
     #[must_use]
     pub fn with_target(mut self, target: impl Into<Arc<Target>>) -> Self {
         self.target = Some(target.into());
+        self
+    }
+
+    /// A run that another process began: what this one arrives at it has seen itself.
+    #[must_use]
+    pub fn after_a_kill(mut self) -> Self {
+        if let State::Under {
+            work: Work::Servo(servo) | Work::Focus { servo, .. },
+            ..
+        } = &mut self.state
+        {
+            servo.go_on_after_a_kill();
+        }
         self
     }
 
@@ -177,6 +202,11 @@ impl Reposition {
         };
         self.target = Some(ready.clone());
         Ok(ready)
+    }
+
+    /// Leaves the camera exposed as it was found, when the run is not stepped any more before its end: whoever goes on with it adapts it again.
+    pub fn leave(&mut self, scope: &Instrument) {
+        self.exposes_as_before(scope);
     }
 
     /// K_t: the newest calibration of the target's objective, with the pixels of the camera that took it.
@@ -272,6 +302,7 @@ impl Reposition {
         sink: &mut dyn Sink,
     ) -> Result<Option<Outcome>, ServoError> {
         let target = self.prepared()?;
+        self.exposes_as_adapted(scope)?;
         // Under direct control all objectives after this one may take over.
         let above = match self.options.servo.law {
             Law::Direct => self.policy().outlook(&self.so_far(scope, &target)),
@@ -340,6 +371,7 @@ impl Reposition {
                     objective: leg.objective().clone(),
                     end: end.clone(),
                 });
+                self.ended_at = Some(PlanarPose::from(&scope.gate().position()?));
                 self.go_back(scope, &end)?;
                 self.servoed(scope, sink, &target, (leg, &end), seen)
             }

@@ -258,6 +258,12 @@ impl Convergence {
         self.resting = None;
     }
 
+    /// Nothing that another process saw confirms what this one sees, whose clock is another.
+    pub(crate) fn go_on_after_a_kill(&mut self) {
+        self.confirm_anew();
+        self.drift = Drift::default();
+    }
+
     /// Divergence counts from the next frame on.
     pub(crate) fn begin_anew(&mut self) {
         self.first = None;
@@ -279,12 +285,7 @@ impl Convergence {
 }
 
 fn mean(frames: &[Measured]) -> PoseError {
-    let n = frames.len() as f64;
-    let sum = |f: &dyn Fn(&PoseError) -> f64| frames.iter().map(|m| f(&m.error)).sum::<f64>() / n;
-    PoseError {
-        t_m: [sum(&|e| e.t_m[0]), sum(&|e| e.t_m[1])],
-        theta_rad: sum(&|e| e.theta_rad),
-    }
+    PoseError::mean(frames.iter().map(|m| m.error))
 }
 
 /// Root mean square distance of the errors from their mean, um; zero for fewer than two.
@@ -323,6 +324,19 @@ mod tests {
         assert_eq!(scatter_um(&[at(3.0, 4.0, 0.0, 0.0)]), 0.0);
         let two = scatter_um(&[at(0.3, 0.4, 0.0, 0.0), at(0.0, 0.0, 0.0, 0.0)]);
         assert!((two - 0.5 / 2f64.sqrt()).abs() < 1e-12, "{two}");
+    }
+
+    /// A slide that was put in end for end is half a turn off, and not none.
+    #[test]
+    fn the_mean_of_angles_of_either_sign_at_half_a_turn_is_half_a_turn() {
+        for degs in [&[179.997, -179.996][..], &[-179.999, 179.998, -179.997]] {
+            let frames: Vec<Measured> = degs.iter().map(|d| at(0.1, 0.0, *d, 0.0)).collect();
+            let told = mean(&frames);
+            assert!(180.0 - told.angle_deg().abs() < 0.003, "{degs:?}: {told:?}");
+            assert!((told.t_um()[0] - 0.1).abs() < 1e-9);
+        }
+        let plain = mean(&[at(0.0, 0.0, 0.3, 0.0), at(0.0, 0.0, -0.1, 0.0)]);
+        assert!((plain.angle_deg() - 0.1).abs() < 1e-9);
     }
 
     #[test]

@@ -90,14 +90,14 @@ impl Criteria<'_> {
             let known = self.scatter.map_or(0.0, |scatter| scatter[k]);
             SCATTERS * known.max(self.tolerance(k))
         };
-        spread.is_about_the_goal([0, 1].map(|k| self.tolerance(k)))
+        spread.is_about_the_goal([0, 1].map(|k| self.tolerance(k)), self.turns)
             && spread.um <= most(0)
             && (!self.turns || spread.deg <= most(1))
     }
 
     /// The end of a loop whose moves come no nearer.
     pub(crate) fn scattered(&self, spread: &Spread, last: &ServoResult) -> ServoEnd {
-        match spread.is_about_the_goal([0, 1].map(|k| self.tolerance(k))) {
+        match spread.is_about_the_goal([0, 1].map(|k| self.tolerance(k)), self.turns) {
             true => ServoEnd::OutsideTolerance {
                 last: ServoResult {
                     limited_by: Some(LimitedBy::Repeatability),

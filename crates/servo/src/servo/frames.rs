@@ -127,6 +127,7 @@ impl Servo {
         sink: &mut dyn Sink,
         sight: &Sight<'_>,
     ) -> Option<Progress<ServoEnd>> {
+        self.watch.forgets_elsewhere(&sight.station.pose, scope);
         let known = self.watch.remarks().len();
         let scaled = self.scaled(task, sight);
         let view_m = 1e-6 * task.view_calibration.um_per_px();

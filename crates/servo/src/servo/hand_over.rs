@@ -21,8 +21,8 @@ pub struct HandOver {
     pub to: ObjectiveId,
     /// Where its view's centre lies from the one below, in camera axes of the target, m.
     pub offset_m: Vec2,
-    /// Where the centre of the view below is to lie from the target's, in camera axes of the target, m.
-    pub aim_m: Vec2,
+    /// Where the centre of its view is to lie from the target's, in camera axes of the target, m.
+    pub beside_m: Vec2,
     /// Standard deviation of where its view lies from the one below, each coordinate, m.
     pub change_m: f64,
     /// How far from its goal the target is surely in its view, m.
@@ -54,8 +54,7 @@ impl HandOver {
         Self {
             to: next.id.clone(),
             offset_m: camera_from_stage * offset_m,
-            // What the next objective shows in its middle lies beside the middle of this one.
-            aim_m: camera_from_stage * offset_m.map(|v| -v - beside_m),
+            beside_m: camera_from_stage * [-beside_m; 2],
             change_m,
             within_m: WITHIN * side_px * 1e-6 * next.nominal_um_per_px,
         }

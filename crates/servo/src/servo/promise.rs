@@ -99,6 +99,13 @@ impl Promise {
         }
     }
 
+    /// Whether the move leads where the stage stands, to within `most` of each axis, m and rad.
+    pub(super) fn leads_to(&self, stands: &PlanarPose, most: [f64; 3]) -> bool {
+        let coordinates = |pose: &PlanarPose| [pose.x_m[0], pose.x_m[1], pose.theta_rad];
+        let (goal, stands) = (coordinates(&self.goal), coordinates(stands));
+        (0..3).all(|k| (stands[k] - goal[k]).abs() <= most[k])
+    }
+
     /// What it is, for those who look on.
     pub(crate) fn told(&self, mover: &Mover<'_>) -> Promised {
         Promised {

@@ -1,6 +1,7 @@
 //! Moves that come no nearer: how they scatter about the goal.
 
 use crate::PoseError;
+use crate::pose::wrapped;
 use serde::{Deserialize, Serialize};
 
 /// So many moves in a row tell.
@@ -26,11 +27,11 @@ pub(crate) struct Spread {
 }
 
 impl Spread {
-    /// Whether the middle of all is the goal, to within a tolerance and what is not known of it.
-    pub(crate) fn is_about_the_goal(&self, tolerance: [f64; 2]) -> bool {
+    /// Whether the middle of all is the goal, to within a tolerance and what is not known of it. An angle that stays, as nothing `turns`, is none of it.
+    pub(crate) fn is_about_the_goal(&self, tolerance: [f64; 2], turns: bool) -> bool {
         let unsure = ONE_SIDED / (MOVES as f64).sqrt();
         self.middle[0] <= tolerance[0] + unsure * self.um
-            && self.middle[1] <= tolerance[1] + unsure * self.deg
+            && (!turns || self.middle[1] <= tolerance[1] + unsure * self.deg)
     }
 }
 
@@ -64,10 +65,9 @@ impl Scatter {
         if (0..2).any(|k| early[k] > tolerance[k] && late[k] < NEARER * early[k]) {
             return None;
         }
-        let mean =
-            |of: &dyn Fn(&PoseError) -> f64| self.0.iter().map(of).sum::<f64>() / MOVES as f64;
-        let [x, y] = [0, 1].map(|k| mean(&|m| m.t_um()[k]));
-        let angle = mean(&|m| m.angle_deg());
+        let mean = PoseError::mean(self.0.iter().copied());
+        let [x, y] = mean.t_um();
+        let turned_deg = |m: &PoseError| wrapped(m.theta_rad - mean.theta_rad).to_degrees();
         let off = |m: &PoseError| {
             let [a, b] = m.t_um();
             f64::hypot(a - x, b - y)
@@ -75,8 +75,8 @@ impl Scatter {
         let freedom = (MOVES as f64 / (MOVES - 1) as f64).sqrt();
         Some(Spread {
             um: freedom * rms(self.0.iter().map(off)),
-            deg: freedom * rms(self.0.iter().map(|m| m.angle_deg() - angle)),
-            middle: [f64::hypot(x, y), angle.abs()],
+            deg: freedom * rms(self.0.iter().map(turned_deg)),
+            middle: [f64::hypot(x, y), mean.angle_deg().abs()],
         })
     }
 }
@@ -116,9 +116,34 @@ mod tests {
         assert_eq!(after(&about(0.0)[..5]), None, "too few");
         let spread = after(&about(0.0)).unwrap();
         assert!((spread.um - 2.0 * 1.2f64.sqrt()).abs() < 1e-6, "{spread:?}");
-        assert!(spread.middle[0] < 1e-9 && spread.is_about_the_goal([0.4, 0.01]));
+        assert!(spread.middle[0] < 1e-9 && spread.is_about_the_goal([0.4, 0.01], true));
         let beside = after(&about(10.0)).unwrap();
         assert!((beside.middle[0] - 10.0).abs() < 1e-6, "{beside:?}");
-        assert!(!beside.is_about_the_goal([0.4, 0.01]));
+        assert!(!beside.is_about_the_goal([0.4, 0.01], true));
+    }
+
+    /// On a stage that does not turn, however the slide lies.
+    #[test]
+    fn an_angle_that_stays_is_no_way_and_at_half_a_turn_it_scatters_no_more_than_elsewhere() {
+        for turned in [0.5, -20.0, 180.0] {
+            let at = |k: u32| {
+                let (sin, cos) = (f64::from(k) * std::f64::consts::FRAC_PI_3).sin_cos();
+                let deg: f64 = turned + 0.001 * cos;
+                [
+                    2.0 * cos,
+                    2.0 * sin,
+                    if deg > 180.0 { deg - 360.0 } else { deg },
+                ]
+            };
+            let all: Vec<_> = (0..6).map(at).collect();
+            let spread = after(&all).unwrap();
+            assert!(spread.deg < 0.001, "{turned}: {spread:?}");
+            assert!(
+                (spread.middle[1] - turned.abs()).abs() < 0.001,
+                "{spread:?}"
+            );
+            assert!(spread.is_about_the_goal([0.4, 0.01], false), "{turned}");
+            assert!(!spread.is_about_the_goal([0.4, 0.01], true), "{turned}");
+        }
     }
 }

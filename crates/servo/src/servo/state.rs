@@ -33,3 +33,10 @@ pub struct Servo {
     #[serde(default)]
     pub(super) may_lie_at: Option<MayLieAt>,
 }
+
+impl Servo {
+    /// Goes on with what another process had begun.
+    pub(crate) fn go_on_after_a_kill(&mut self) {
+        self.convergence.go_on_after_a_kill();
+    }
+}

@@ -21,8 +21,11 @@ impl HandOver {
         turns: bool,
     ) -> Option<(Velocity, f64)> {
         let mut aimed = *estimate;
-        for (t, aim) in aimed.error.t_m.iter_mut().zip(self.aim_m) {
-            *t -= aim;
+        // The next objective looks aside as the view is turned in the end.
+        let left_rad = if turns { 0.0 } else { estimate.error.theta_rad };
+        let offset_m = Mat2::rotation(left_rad) * self.offset_m;
+        for (k, t) in aimed.error.t_m.iter_mut().enumerate() {
+            *t -= self.beside_m[k] - offset_m[k];
         }
         let velocity = task.velocity(&aimed, turns);
         let all = |asked: f64, goes: f64| (asked.abs() - goes.abs()).abs() <= 1e-9;

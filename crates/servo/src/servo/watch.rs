@@ -5,7 +5,7 @@ use super::refit::{Refit, Remark};
 use crate::attempt::Tried;
 use crate::{Attempt, Calibration, Contradiction, PlanarPose, PoseError, PoseEstimate, Velocity};
 use scopeservo_geometry::Vec2;
-use scopeservo_scope::ObjectiveId;
+use scopeservo_scope::{Axis, Instrument, ObjectiveId};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
@@ -67,6 +67,8 @@ pub(crate) struct Watch {
 const SMALL: f64 = 0.1;
 const BOTH: [f64; 2] = [0.86, 0.51];
 
+/// So many times its arrival tolerance an axis stands from where it was sent, at most.
+const ARRIVALS: f64 = 2.0;
 /// So many moves in a row may contradict what is seen before nothing moves any more.
 const BROKEN: u8 = 2;
 /// So many more frames are looked at before it is said that nothing moved.
@@ -104,6 +106,23 @@ impl Watch {
     /// Where the last move was to lead, unless a frame has shown it already.
     pub(crate) fn promised(&self, mover: &Mover<'_>) -> Option<Promised> {
         self.promise.as_ref().map(|promise| promise.told(mover))
+    }
+
+    /// Forgets where the last move was to lead when the stage says that it stands elsewhere: the program was killed in the next one.
+    pub(crate) fn forgets_elsewhere(&mut self, stands: &PlanarPose, scope: &Instrument) {
+        let axes = [Axis::X, Axis::Y, Axis::Rz];
+        // A move that ended as it should ended within its tolerance.
+        let most = axes.map(|axis| {
+            let info = scope.gate().info().axis(axis);
+            info.map_or(f64::INFINITY, |info| ARRIVALS * info.tolerance())
+        });
+        if self
+            .promise
+            .take_if(|promise| !promise.leads_to(stands, most))
+            .is_some()
+        {
+            (self.looks, self.handed) = (0, false);
+        }
     }
 
     /// Takes the next frame.

@@ -7,6 +7,7 @@ use super::{
     RepositionJob, RepositionOutput, SaveTargetInput, SaveTargetJob, SaveTargetOutput,
 };
 use crate::{JobError, UseCase, Work};
+use scopeservo_scope::Instrument;
 use scopeservo_servo::{Progress, Target};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -165,6 +166,13 @@ impl UseCase for AnyJob {
             Self::Reposition(job) => job.can_go_on(),
             Self::Identify(job) => job.can_go_on(),
             Self::Doctor(job) => job.can_go_on(),
+        }
+    }
+
+    fn leave(&mut self, scope: &Instrument) {
+        // No other sets anything until it ends.
+        if let Self::Reposition(job) = self {
+            job.leave(scope);
         }
     }
 

@@ -1,7 +1,7 @@
 //! The microscope brought back to a saved view.
 
 use crate::{JobError, MadeCalibration, UseCase, Work};
-use scopeservo_scope::{Counters, ObjectiveId};
+use scopeservo_scope::{Counters, Instrument, ObjectiveId};
 use scopeservo_servo::{
     Calibration, Outcome, Parcentric, Progress, Reposition, RepositionOptions, SwitchingReport,
     Target,
@@ -76,7 +76,7 @@ impl RepositionJob {
     #[must_use]
     pub fn with_target(self, target: impl Into<Arc<Target>>) -> Self {
         Self {
-            run: self.run.with_target(target),
+            run: self.run.with_target(target).after_a_kill(),
             ..self
         }
     }
@@ -93,6 +93,10 @@ impl UseCase for RepositionJob {
 
     fn kind(&self) -> &'static str {
         "reposition"
+    }
+
+    fn leave(&mut self, scope: &Instrument) {
+        self.run.leave(scope);
     }
 
     fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<RepositionOutput>, JobError> {

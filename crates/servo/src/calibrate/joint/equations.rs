@@ -3,6 +3,7 @@
 use super::model::{OPTICS, Order, Pair, Priors, Unknowns, View, axes};
 use super::sight::{Derivative, Shown, Sight, shown, shown_by, sight};
 use super::three::{dot, times};
+use crate::pose::wrapped;
 use scopeservo_geometry::cholesky_inverse;
 
 /// The measurements, each pair with its weight.
@@ -69,12 +70,6 @@ impl Normal {
         }
         (self.information[k * n + k], self.gradient[k]) = (1.0, 0.0);
     }
-}
-
-/// An angle in (-pi, pi].
-fn wrapped(angle_rad: f64) -> f64 {
-    let turns = (angle_rad / std::f64::consts::TAU).round();
-    angle_rad - turns * std::f64::consts::TAU
 }
 
 impl Problem<'_> {

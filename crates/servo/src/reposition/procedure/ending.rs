@@ -178,6 +178,9 @@ impl Reposition {
         error: &ServoError,
     ) -> Result<bool, ServoError> {
         let unfocused = matches!(error.code(), ErrorCode::NoFocus | ErrorCode::AtLimit);
+        if self.came_back {
+            return Ok(false);
+        }
         let (
             State::Under {
                 leg,
@@ -199,6 +202,7 @@ impl Reposition {
         else {
             return Ok(false);
         };
+        self.came_back = true;
         let present = scope.gate().position()?;
         scope.move_to(&before.request(&present))?;
         self.done.push(MagnificationResult {

@@ -28,7 +28,7 @@ impl Reposition {
             let own = self.calibrations.get(leg.objective());
             let nominal = scope.objective(leg.objective())?.nominal_um_per_px;
             let um_per_px = own.map_or(nominal, Calibration::um_per_px);
-            parcentric::keep_centre(scope, offset_um, um_per_px)?;
+            parcentric::keep_centre(scope, self.ended_at, offset_um, um_per_px)?;
         }
         // The paper calibrates the target's objective again for the last leg, so that its error cancels; a joint calibration has none to speak of.
         let known = |objective: &ObjectiveId| match self.options.servo.law {

@@ -8,6 +8,8 @@ use scopeservo_scope::{Instrument, ObjectiveId};
 
 /// A wider sweep goes so many times as far from the specimen; towards it, no farther than before.
 const WIDER: f64 = 2.5;
+/// A camera exposes as it was told to within this share.
+const SAME_EXPOSURE: f64 = 0.05;
 
 impl Reposition {
     /// Goes on with the leg that an error ended, where something is left to try.
@@ -44,7 +46,7 @@ impl Reposition {
         let Some([before, now]) = light::adapt(scope, sink, &objective, &target)? else {
             return Ok(false);
         };
-        self.exposure_before = Some(before);
+        (self.exposure_before, self.exposes) = (Some(before), Some(now));
         let [from_ms, to_ms] = [before, now].map(|t| 1e3 * t.as_secs_f64());
         let attempt = Attempt::ExposureAdapted { from_ms, to_ms };
         self.tell_attempt(scope, sink, objective, attempt);
@@ -54,9 +56,22 @@ impl Reposition {
 
     /// As the camera was exposed when the run began. What fails is no answer to the run.
     pub(super) fn exposes_as_before(&mut self, scope: &Instrument) {
+        self.exposes = None;
         if let Some(before) = self.exposure_before.take() {
             let _ = scope.camera().set_exposure(before);
         }
+    }
+
+    /// As the run has adapted it: who went on after a kill or a stop opened the camera anew.
+    pub(super) fn exposes_as_adapted(&self, scope: &Instrument) -> Result<(), ServoError> {
+        let Some(adapted) = self.exposes else {
+            return Ok(());
+        };
+        let is = scope.camera().exposure()?.as_secs_f64();
+        if (is / adapted.as_secs_f64() - 1.0).abs() > SAME_EXPOSURE {
+            scope.camera().set_exposure(adapted)?;
+        }
+        Ok(())
     }
 
     /// Looks for the focus in a wider range, where nothing was seen in the usual one.
