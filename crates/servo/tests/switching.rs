@@ -194,12 +194,12 @@ fn a_target_that_a_switch_takes_out_of_the_field_is_found_where_the_switch_is_kn
 fn a_reversed_slide_on_a_stage_that_cannot_turn_is_handed_over_to_where_the_next_objective_looks() {
     let mut config = Config::realistic().with_stage(StageConfig::xyz());
     config.optics.remove(1);
-    config.nosepiece.parcentric_um = 80.0;
+    config.nosepiece.parcentric_um = 120.0;
     let bench = (0..200)
         .map(|seed| bench_seeded(config.clone(), seed))
         .find(|bench| {
             let [x, y] = true_offset_um(&bench.twin, ["10x", "40x"]);
-            (90.0..120.0).contains(&f64::hypot(x, y))
+            (160.0..185.0).contains(&f64::hypot(x, y))
         })
         .unwrap();
     let calibrations = calibrated(&bench.scope);
