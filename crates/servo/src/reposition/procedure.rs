@@ -302,7 +302,6 @@ impl Reposition {
         sink: &mut dyn Sink,
     ) -> Result<Option<Outcome>, ServoError> {
         let target = self.prepared()?;
-        self.exposes_as_adapted(scope)?;
         // Under direct control all objectives after this one may take over.
         let above = match self.options.servo.law {
             Law::Direct => self.policy().outlook(&self.so_far(scope, &target)),
@@ -400,7 +399,8 @@ impl Procedure for Reposition {
         scope: &Instrument,
         sink: &mut dyn Sink,
     ) -> Result<Progress<Outcome>, ServoError> {
-        let ended = match self.advance(scope, sink) {
+        let exposed = self.exposes_as_adapted(scope);
+        let ended = match exposed.and_then(|()| self.advance(scope, sink)) {
             Ok(ended) => ended,
             Err(error) => self.failed(scope, sink, error)?,
         };

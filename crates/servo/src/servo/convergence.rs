@@ -369,6 +369,21 @@ mod tests {
         assert!((result.error.distance_um() - 0.21).abs() < 1e-9);
     }
 
+    /// Its clock is another, and may be ahead of the one before.
+    #[test]
+    fn what_one_process_saw_confirms_nothing_of_another() {
+        let options = ServoOptions::default();
+        let test = criteria(&options);
+        let mut state = Convergence::default();
+        let inside = |state: &mut Convergence, time_s| {
+            state.take(&test, at(0.2, 0.0, 0.0, time_s), true) == Standing::Inside
+        };
+        assert!(inside(&mut state, 40.0));
+        state.go_on_after_a_kill();
+        assert!(inside(&mut state, 300.0), "confirmed by what was before");
+        assert!(!inside(&mut state, 300.5), "its own");
+    }
+
     #[test]
     fn growth_the_iteration_limit_and_a_drift_end_a_loop() {
         let options = ServoOptions {
