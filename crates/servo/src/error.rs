@@ -228,9 +228,8 @@ pub enum ServoError {
     },
     /// The image does not move with the stage.
     #[error(
-        "whether {objective} is active could not be seen: the stage moved by {moved_um:.1} um, and all that the image \
-         shows stayed. Move to a place with tissue where this is dust on the camera, or check that the objective has clicked in, that the \
-         slide is held, and the stage's unit: a thousandth of a move looks like none"
+        "whether {objective} is active could not be seen: the stage moved by {moved_um:.1} um, and all that is seen stayed. Where this is dust move to \
+         tissue; else look whether the objective has clicked in, the slide is held, and the stage's unit: a thousandth of a move looks like none"
     )]
     PictureStays {
         /// The objective that is said to be there.
