@@ -38,6 +38,11 @@ impl Contradiction {
         matches!(self, Self::NothingMoved | Self::AxisStands(_))
     }
 
+    /// Whether it is read off a move, and not one of the few things that an instrument may do.
+    pub(super) fn is_read_off(self) -> bool {
+        matches!(self, Self::Turned(_) | Self::Share(_))
+    }
+
     /// How much it says.
     fn says(self) -> u8 {
         match self {

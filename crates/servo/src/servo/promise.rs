@@ -125,8 +125,8 @@ impl Promise {
     pub(crate) fn kept(&self, seen: &PoseEstimate, mover: &Mover<'_>, view_m: f64) -> Kept {
         // With this view's own centre: what another objective handed over lies beside that.
         let promised = self.error_at(&self.goal, mover);
-        let [a, b, angle] = seen.sigma();
-        let unsure_m = SIGMAS * (self.sigma_m.powi(2) + a * a + b * b).sqrt() + view_m;
+        let [_, _, angle] = seen.sigma();
+        let unsure_m = self.unsure_m(seen, view_m);
         let unsure_rad = SIGMAS * f64::hypot(self.sigma_rad, angle) + SLACK_RAD;
         let (off_m, off_rad) = apart(&promised, &seen.error);
         if off_m <= unsure_m && off_rad <= unsure_rad {
@@ -135,16 +135,11 @@ impl Promise {
         let way_m = apart(&self.from, &promised).0;
         let turned_rad = (self.goal.theta_rad - self.before.theta_rad).abs();
         let sweep_m = sweep_m(turned_rad);
-        // A stage with its rotation far away goes farther than the view does.
-        let by_m = [0, 1].map(|k| self.goal.x_m[k] - self.before.x_m[k]);
-        let gone_m = way_m.max(f64::hypot(by_m[0], by_m[1]));
         // What stands or goes the other way explains all of it; a share of the way is what a drifted calibration makes of it, too.
-        let cause = self.cause(&seen.error, mover, unsure_m + LEAVES * gone_m);
-        let sure = !matches!(
-            cause,
-            Contradiction::Share(_) | Contradiction::Turned(_) | Contradiction::Elsewhere
-        );
-        if sure && DRIFTED_SHARE * gone_m > unsure_m {
+        let cause = self.fits(seen, mover, view_m).simplest();
+        let sure = cause.is_some_and(|cause| !cause.is_read_off());
+        let cause = cause.unwrap_or(Contradiction::Elsewhere);
+        if sure && DRIFTED_SHARE * self.gone_m(mover) > unsure_m {
             return Kept::No(cause);
         }
         if off_m <= unsure_m + DRIFTED_SHARE * way_m + sweep_m
@@ -243,56 +238,74 @@ impl Promise {
         causes
     }
 
-    /// The simplest of what explains an error to within `leaves_m` of the view.
-    fn cause(&self, seen: &PoseError, mover: &Mover<'_>, leaves_m: f64) -> Contradiction {
-        let causes = self.causes(seen, mover);
-        let best = causes.iter().map(|c| c.1).fold(f64::INFINITY, f64::min);
-        let most_m = (best + 0.5 * leaves_m).min(self.half_of_what_is_off(seen, mover));
-        let simplest = causes
-            .into_iter()
-            .find(|(_, left_m)| *left_m <= leaves_m && *left_m <= most_m);
-        simplest.map_or(Contradiction::Elsewhere, |(cause, _)| cause)
-    }
-
     /// What explains no more than that all went as it was told is no cause: a rotation that stands where none was asked for.
     fn half_of_what_is_off(&self, seen: &PoseError, mover: &Mover<'_>) -> f64 {
         let (off_m, off_rad) = apart(&self.error_at(&self.goal, mover), seen);
         0.5 * off_m.max(size_m(mover) * off_rad)
     }
 
-    /// How well each cause explains what was seen: it does up to 1.
+    /// How well each cause explains what was seen.
     pub(super) fn fits(&self, seen: &PoseEstimate, mover: &Mover<'_>, view_m: f64) -> Fits {
+        let most_m = self.half_of_what_is_off(&seen.error, mover);
+        let unsure_m = self.unsure_m(seen, view_m);
+        let leaves_m = [unsure_m, unsure_m + LEAVES * self.gone_m(mover)];
+        let of = |left_m: f64| leaves_m.map(|leaves_m| left_m / leaves_m.min(most_m).max(1e-9));
+        let causes = self.causes(&seen.error, mover).into_iter();
+        Fits(causes.map(|(cause, left_m)| (cause, of(left_m))).collect())
+    }
+
+    /// How far beside its promise a view may lie for all that is uncertain, m. `view_m`: size of its pixels.
+    fn unsure_m(&self, seen: &PoseEstimate, view_m: f64) -> f64 {
         let [a, b, _] = seen.sigma();
-        let unsure_m = SIGMAS * (self.sigma_m.powi(2) + a * a + b * b).sqrt() + view_m;
+        SIGMAS * (self.sigma_m.powi(2) + a * a + b * b).sqrt() + view_m
+    }
+
+    /// How far the move takes the view, or the stage: with its rotation far away it goes farther than the view does.
+    fn gone_m(&self, mover: &Mover<'_>) -> f64 {
         let way_m = apart(&self.from, &self.error_at(&self.goal, mover)).0;
         let by_m = [0, 1].map(|k| self.goal.x_m[k] - self.before.x_m[k]);
-        let gone_m = way_m.max(f64::hypot(by_m[0], by_m[1]));
-        let off_m = self.half_of_what_is_off(&seen.error, mover);
-        let leaves_m = (unsure_m + LEAVES * gone_m).min(off_m).max(1e-9);
-        let causes = self.causes(&seen.error, mover).into_iter();
-        // A turn is read off a move, and fits it.
-        let each = causes.filter(|(cause, _)| !matches!(cause, Contradiction::Turned(_)));
-        Fits(
-            each.map(|(cause, left_m)| (cause, left_m / leaves_m))
-                .collect(),
-        )
+        way_m.max(f64::hypot(by_m[0], by_m[1]))
     }
 }
 
-/// How well each cause explains a move, the simplest first.
+/// How well each cause explains a move, the simplest first: it does up to 1, as all is known, and with a calibration that has drifted.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Fits(Vec<(Contradiction, f64)>);
+pub(crate) struct Fits(Vec<(Contradiction, [f64; 2])>);
 
 impl Fits {
+    /// The simplest that explains this move.
+    fn simplest(&self) -> Option<Contradiction> {
+        // What is read off the move has something to spare, and fits it better than it should.
+        let named = self.0.iter().filter(|(cause, _)| !cause.is_read_off());
+        let named = named.map(|(cause, [sure, _])| (*cause, *sure));
+        let drifted = self
+            .0
+            .iter()
+            .map(|(cause, [_, drifted])| (*cause, *drifted));
+        // Few causes explain it as well as all is known, and none does so by chance: it goes before what is simpler and needs a drift besides.
+        simplest(named).or_else(|| simplest(drifted))
+    }
+
     /// The simplest that explains this move and another one.
     pub(super) fn both(&self, other: &Self) -> Option<Contradiction> {
-        let all = std::iter::zip(&self.0, &other.0);
-        let worse: Vec<_> = all.map(|(a, b)| (a.0, a.1.max(b.1))).collect();
-        let best = worse.iter().map(|w| w.1).fold(f64::INFINITY, f64::min);
-        let most = 1f64.min(best + 0.5);
-        let simplest = worse.into_iter().find(|(_, fit)| *fit <= most);
-        simplest.map(|(cause, _)| cause)
+        // A turn is read off a move, and fits it.
+        let of = |fits: &Self| {
+            let each = fits.0.iter().copied();
+            let each = each.filter(|(cause, _)| !matches!(cause, Contradiction::Turned(_)));
+            each.collect::<Vec<_>>()
+        };
+        let all = std::iter::zip(of(self), of(other));
+        let worse = all.map(|((cause, a), (_, b))| (cause, [0, 1].map(|k| a[k].max(b[k]))));
+        Self(worse.collect()).simplest()
     }
+}
+
+/// The first of those that fit, and not much worse than the best.
+fn simplest(causes: impl Iterator<Item = (Contradiction, f64)> + Clone) -> Option<Contradiction> {
+    let best = causes.clone().map(|c| c.1).fold(f64::INFINITY, f64::min);
+    let most = 1f64.min(best + 0.5);
+    let mut fit = causes.filter(|(_, fit)| *fit <= most);
+    fit.next().map(|(cause, _)| cause)
 }
 
 /// Half of a view's width, m.
@@ -452,6 +465,30 @@ mod tests {
         let (_, one) = went([d, d], [-d, d]);
         let (_, two) = went([d, d], [1.3 * d, -0.4 * d]);
         assert_eq!(two.both(&one), None);
+    }
+
+    /// A turn about a centre far away takes the stage far, and a share of that leaves much open: what explains all of it is the cause all the same.
+    #[test]
+    fn what_explains_all_of_a_long_way_goes_before_what_needs_a_drift_besides() {
+        let known = known();
+        let mover = mover(&known);
+        let from = begins();
+        let turn = |x_m| PlanarPose {
+            x_m,
+            theta_rad: 0.035,
+        };
+        let [x, y] = [2.5e-4, -4.7e-3];
+        let promise = Promise::of(&from, (at([0.0; 2]), turn([x, y])), &mover, 0.0);
+        let after = |pose| {
+            let error = promise.error_at(&pose, &mover);
+            promise.kept(&estimate(error), &mover, 2.2e-6)
+        };
+        let [x_stands, x_reversed] =
+            [Contradiction::AxisStands, Contradiction::AxisReversed].map(|of| of(Axis::X));
+        assert_eq!(after(turn([-x, y])), Kept::No(x_reversed));
+        assert_eq!(after(turn([0.0, y])), Kept::No(x_stands));
+        // So it is with a calibration that has drifted a little.
+        assert_eq!(after(turn([-x, 0.99 * y])), Kept::No(x_reversed));
     }
 
     /// After a loss a small step of both axes tells what is wrong, however far the target is still off.

@@ -40,7 +40,7 @@ pub(crate) struct Watch {
     /// Promises in a row that were not kept, and why, where something was seen of it.
     broken: Option<(u8, Option<Contradiction>)>,
     /// How well each cause explains the last of them.
-    #[serde(default)]
+    #[serde(default, rename = "explained")]
     fits: Option<Fits>,
     #[serde(default)]
     trust: Trust,
