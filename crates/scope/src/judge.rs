@@ -103,6 +103,41 @@ impl Judge<'_> {
         self.clear_of_zones(both(Axis::X), both(Axis::Y), nearest, slack)
     }
 
+    /// As much of a way as may be gone in one step: all of it, or the first part of the straight line.
+    pub(crate) fn first_part(&self, here: &StagePose, to: &StagePose) -> StagePose {
+        if self.retreats(here, to) {
+            return *to;
+        }
+        let longest = self.rules.largest_steps.iter().map(|largest| {
+            let way = here.si(largest.axis).zip(to.si(largest.axis));
+            let way = way.map_or(0.0, |(from, goal)| (goal - from).abs());
+            largest.step / way
+        });
+        // What is no number is no way.
+        let share = longest.fold(f64::INFINITY, f64::min);
+        if share >= 1.0 {
+            return *to;
+        }
+        Axis::ALL.into_iter().fold(*to, |part, axis| {
+            match here.si(axis).zip(to.si(axis)) {
+                // A little less, so that rounding is no reason to refuse.
+                Some((from, goal)) => part.with_si(axis, from + 0.999 * share * (goal - from)),
+                None => part,
+            }
+        })
+    }
+
+    /// A place that the stage has reported, as a goal: what stands beyond a limit by no more than its slack, at that limit.
+    pub(crate) fn as_goal(&self, at: &StagePose) -> StagePose {
+        self.ranges()
+            .fold(*at, |goal, range| match goal.si(range.axis) {
+                Some(si) if self.beyond_slack(range, &goal).is_none() => {
+                    goal.with_si(range.axis, si.clamp(range.min, range.max))
+                }
+                _ => goal,
+            })
+    }
+
     /// After a move from `from` that ended at `at`: the rule that is broken, unless the stage stood outside before and came back
     /// some of the way.
     pub(crate) fn strayed(&self, from: &StagePose, at: &StagePose) -> Option<Breach> {

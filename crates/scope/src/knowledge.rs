@@ -34,12 +34,12 @@ struct Medium {
 }
 
 /// What images have shown of the objective that the nosepiece reports.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 struct Objective {
     confirmed: bool,
     contradicted: bool,
-    /// A change was begun, and nobody has seen its end.
-    changing: bool,
+    /// The change that was begun, and nobody has seen its end.
+    changing: Option<ObjectiveId>,
 }
 
 impl Knowledge {
@@ -90,23 +90,29 @@ impl Knowledge {
     }
 
     /// A change was begun.
-    pub(crate) fn change_begun(&self) {
+    pub(crate) fn change_begun(&self, to: &ObjectiveId) {
         self.medium().agreed = None;
         let mut objective = self.objective();
-        objective.changing = true;
+        objective.changing = Some(to.clone());
         objective.contradicted = false;
         if self.is_turned_by_hand() {
             objective.confirmed = false;
         }
     }
 
-    /// A change ended, at its goal or on its way.
-    pub(crate) fn change_ended(&self, arrived: bool) {
+    /// Whether a change was begun of which nobody has seen the end.
+    pub(crate) fn is_changing(&self) -> bool {
+        self.objective().changing.is_some()
+    }
+
+    /// A change ended, at its goal or on its way. `settled`: the objective at which the nosepiece has come to rest.
+    pub(crate) fn change_ended(&self, settled: Option<&ObjectiveId>) {
         let mut objective = self.objective();
-        if !std::mem::take(&mut objective.changing) {
+        let Some(to) = objective.changing.take() else {
             return;
-        }
-        match arrived {
+        };
+        match settled == Some(&to) {
+            // The specimen was made ready for this one, which may not be the one that came.
             true => self.medium().made_ready.clear(),
             // What was counted may have run on uncounted.
             false => objective.confirmed = false,
@@ -148,11 +154,15 @@ impl Knowledge {
 mod tests {
     use super::*;
 
+    fn ten() -> ObjectiveId {
+        ObjectiveId("10x".into())
+    }
+
     #[test]
     fn what_a_sensor_tells_needs_no_picture() {
         let knowledge = Knowledge::new(KnownBy::Sensor);
-        knowledge.change_begun();
-        knowledge.change_ended(false);
+        knowledge.change_begun(&ten());
+        knowledge.change_ended(None);
         assert!(!knowledge.is_reported() && !knowledge.contradict());
         assert!(!knowledge.is_contradicted());
     }
@@ -162,13 +172,13 @@ mod tests {
         let knowledge = Knowledge::new(KnownBy::Count);
         assert!(knowledge.is_reported());
         knowledge.confirm();
-        knowledge.change_begun();
-        knowledge.change_ended(true);
+        knowledge.change_begun(&ten());
+        knowledge.change_ended(Some(&ten()));
         // A stop of what stands changes nothing.
-        knowledge.change_ended(false);
+        knowledge.change_ended(None);
         assert!(!knowledge.is_reported());
-        knowledge.change_begun();
-        knowledge.change_ended(false);
+        knowledge.change_begun(&ten());
+        knowledge.change_ended(None);
         assert!(knowledge.is_reported());
         // It would turn to the same place again.
         assert!(!knowledge.contradict() && !knowledge.is_contradicted());
@@ -179,11 +189,11 @@ mod tests {
         let knowledge = Knowledge::new(KnownBy::Report);
         knowledge.confirm();
         assert!(!knowledge.is_reported());
-        knowledge.change_begun();
+        knowledge.change_begun(&ten());
         assert!(knowledge.is_reported());
-        knowledge.change_ended(true);
+        knowledge.change_ended(Some(&ten()));
         assert!(knowledge.contradict() && knowledge.is_contradicted());
-        knowledge.change_begun();
+        knowledge.change_begun(&ten());
         assert!(!knowledge.is_contradicted() && knowledge.is_reported());
     }
 }

@@ -2,11 +2,13 @@
 
 mod recorder;
 
-use recorder::{Devices, Fault, LIMIT, NARROW_X, RETRACTED, TRAVEL, Ticking, id, pose, rules, z};
+use recorder::{
+    Devices, Fault, LIMIT, NARROW, NARROW_X, RETRACTED, TRAVEL, Ticking, id, pose, rules, z,
+};
 use scopeservo_scope::{
     Axis, CancelToken, ChangeRule, ErrorKind, Immersion, ImmersionChange, Instrument, KnownBy,
-    Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId, Rules, ScopeError, StagePose,
-    VirtualClock, Workspace,
+    LargestStep, Limits, Motion, MotionGate, Nosepiece, Objective, ObjectiveId, Rules, ScopeError,
+    StagePose, VirtualClock, Workspace,
 };
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
@@ -374,6 +376,117 @@ fn what_the_specimen_was_made_ready_for_counts_until_that_objective_is_in() {
     assert_eq!(gate.immersions(), Ok(BTreeSet::from([Immersion::Oil])));
     let broken = devices.world().broken.clone();
     assert!(broken.is_empty(), "{broken:?}");
+}
+
+/// A nosepiece that takes a change, and settles where it was.
+struct Stalls(Devices);
+
+impl Nosepiece for Stalls {
+    fn objectives(&self) -> &[Objective] {
+        self.0.objectives()
+    }
+    fn current(&self) -> Result<Option<ObjectiveId>, ScopeError> {
+        self.0.current()
+    }
+    fn start_change(&self, _: &ObjectiveId) -> Result<(), ScopeError> {
+        Ok(())
+    }
+    fn poll(&self) -> Result<Motion, ScopeError> {
+        Nosepiece::poll(&self.0)
+    }
+    fn stop(&self) -> Result<(), ScopeError> {
+        Nosepiece::stop(&self.0)
+    }
+}
+
+#[test]
+fn what_the_specimen_was_made_ready_for_counts_where_the_nosepiece_settles_at_another_objective() {
+    let devices = Devices::new();
+    let stalls = Box::new(Stalls(devices.clone()));
+    let gate = MotionGate::new(Box::new(devices.clone()), stalls, rules()).unwrap();
+    let change = gate.immersion_change(&id("60x")).unwrap().unwrap();
+    gate.agree_to_immersion(&change);
+    gate.start_change(&id("60x")).unwrap();
+    assert_eq!(gate.poll_nosepiece(), Ok(Motion::Settled));
+    assert_eq!(gate.current_objective(), Ok(Some(id("10x"))));
+    // There is oil, whatever objective is above it.
+    let both = BTreeSet::from([Immersion::Air, Immersion::Oil]);
+    assert_eq!(gate.immersions(), Ok(both));
+    let dry = gate.start_change(&id("40x"));
+    assert!(
+        matches!(&dry, Err(ScopeError::ImmersionNotAgreed { .. })),
+        "{dry:?}"
+    );
+}
+
+/// An instrument of which no move of z may be longer than 0.1 mm, with a stage that ends a little short of every goal.
+fn short(devices: &Devices) -> Instrument {
+    devices.world().short = 0.9e-6;
+    let clock = Arc::new(Ticking {
+        clock: VirtualClock::new(),
+        devices: devices.clone(),
+    });
+    let mut rules = rules();
+    rules
+        .largest_steps
+        .retain(|largest| largest.axis != Axis::Z);
+    rules.largest_steps.push(LargestStep {
+        axis: Axis::Z,
+        step: 1e-4,
+    });
+    devices.instrument(rules, clock, CancelToken::new())
+}
+
+#[test]
+fn each_step_of_a_long_way_counts_from_where_the_stage_says_that_it_is() {
+    let devices = Devices::new();
+    let scope = short(&devices);
+    devices.world().at[2] = 1e-3;
+    scope.select_objective(&id("40x")).unwrap();
+    let at = devices.world().at[2];
+    assert!((at - 1e-3).abs() < 2e-6, "{at}");
+    // Across both other axes it is a straight line, and a goal that is refused moves nothing.
+    scope.move_in_steps(&pose([1e-3, -2e-3, 1.5e-3])).unwrap();
+    let begun = devices.world().begun;
+    let outside = scope.move_in_steps(&pose([0.0, 0.0, NARROW + 1e-6]));
+    assert!(
+        matches!(
+            outside,
+            Err(ScopeError::OutsideLimits { axis: Axis::Z, .. })
+        ),
+        "{outside:?}"
+    );
+    assert_eq!(devices.world().begun, begun);
+    let broken = devices.world().broken.clone();
+    assert!(broken.is_empty(), "{broken:?}");
+}
+
+#[test]
+fn a_stage_that_stood_beyond_a_limit_by_less_than_it_may_miss_can_go_back() {
+    let devices = Devices::new();
+    let scope = short(&devices);
+    devices.world().at[0] = LIMIT + 0.8e-6;
+    let stood = scope.gate().position().unwrap();
+    scope
+        .move_to(&StagePose::default().with_si(Axis::X, LIMIT - 5e-3))
+        .unwrap();
+    let refused = scope.move_to(&stood);
+    assert!(
+        matches!(
+            refused,
+            Err(ScopeError::OutsideLimits { axis: Axis::X, .. })
+        ),
+        "{refused:?}"
+    );
+    scope.return_to(&stood).unwrap();
+    let at = devices.world().at[0];
+    assert!((at - LIMIT).abs() < 2e-6, "{at}");
+    // Beyond by more, it is told as before.
+    let far = stood.with_si(Axis::X, LIMIT + 1e-5);
+    assert!(matches!(
+        scope.return_to(&far),
+        Err(ScopeError::OutsideLimits { axis: Axis::X, .. })
+    ));
 }
 
 /// A nosepiece that names an objective that it does not list.

@@ -143,7 +143,7 @@ impl MotionGate {
         self.check_immersion(to)?;
         let answer = self.nosepiece.start_change(to);
         if !answer.as_ref().is_err_and(is_refusal) {
-            self.knowledge.change_begun();
+            self.knowledge.change_begun(to);
         }
         self.begun(answer)?;
         self.stopped_meanwhile(stops)

@@ -151,7 +151,7 @@ impl MotionGate {
     /// What the devices report; both were told all the same.
     pub fn stop(&self) -> Result<(), ScopeError> {
         self.stops.fetch_add(1, Ordering::SeqCst);
-        self.knowledge.change_ended(false);
+        self.knowledge.change_ended(None);
         // Neither waits for the other: they may be on different boards, and one may be past hearing.
         let told = std::thread::scope(|s| {
             let nosepiece = s.spawn(|| self.nosepiece.stop());

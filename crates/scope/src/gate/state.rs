@@ -64,8 +64,12 @@ impl MotionGate {
     /// What the nosepiece is doing.
     pub fn poll_nosepiece(&self) -> Result<Motion, ScopeError> {
         let motion = self.nosepiece.poll()?;
-        if motion != Motion::Moving {
-            self.knowledge.change_ended(motion == Motion::Settled);
+        if motion != Motion::Moving && self.knowledge.is_changing() {
+            let settled = match motion {
+                Motion::Settled => self.nosepiece.current()?,
+                _ => None,
+            };
+            self.knowledge.change_ended(settled.as_ref());
         }
         Ok(motion)
     }

@@ -55,6 +55,21 @@ impl MotionGate {
         })
     }
 
+    /// As much of the way from where the stage stands as it may go in one step.
+    pub(crate) fn first_part(&self, to: &StagePose) -> Result<StagePose, ScopeError> {
+        let here = self.position()?;
+        Ok(self.judge(&self.in_beam()?).first_part(&here, to))
+    }
+
+    /// A place that the stage has reported, as a goal. A place is judged with the slack of its axes and a goal is not: what stands beyond a limit by
+    /// no more than its slack is sent to that limit.
+    ///
+    /// # Errors
+    /// What the nosepiece reports.
+    pub fn as_goal(&self, at: &StagePose) -> Result<StagePose, ScopeError> {
+        Ok(self.judge(&self.in_beam()?).as_goal(at))
+    }
+
     /// Whether the last move that was begun ended where it was sent, and the whole stage stands where it may; after homing, whether the
     /// stage knows where it is, and that is a place where it can be. To be asked when the stage has settled. Returns where it says it is. This is the one place that judges arrivals, of all drivers.
     ///

@@ -5,6 +5,7 @@ mod memory;
 mod moves;
 mod objective;
 mod same_image;
+mod steps;
 mod waiting;
 
 use crate::{

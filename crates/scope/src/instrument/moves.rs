@@ -130,13 +130,13 @@ impl Instrument {
             .map_or(0.0, AxisInfo::clearance);
         let beyond = to(self.gate.positive_z().away(z.m(), clearance));
         if self.gate.check(&beyond).is_ok() {
-            self.move_to(&beyond)?;
-            return match self.move_to(&to(z.m())) {
+            self.move_in_steps(&beyond)?;
+            return match self.move_in_steps(&to(z.m())) {
                 Err(error) if error.kind() == ErrorKind::Refused => Ok(()),
                 ended => ended.map(drop),
             };
         }
-        self.move_to(&to(z.m())).map(drop)
+        self.move_in_steps(&to(z.m())).map(drop)
     }
 
     /// What a command that failed leaves: the stage goes back to the height at which the command found it, where it stands nearer to

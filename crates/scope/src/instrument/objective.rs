@@ -58,20 +58,8 @@ impl Instrument {
                 Some((old, new)) => from + (new - old),
                 None => side.away(from, margin),
             };
-            // In steps that are allowed.
-            let longest = self.gate.rules().largest_steps.iter();
-            let longest = longest
-                .filter(|l| l.axis == Axis::Z)
-                .map(|l| l.step)
-                .fold(f64::INFINITY, f64::min);
-            let mut at = work.retreat_m;
-            while side.nearer_by(expected, at) > longest {
-                // A little less, so that rounding is no reason to refuse.
-                at = side.away(at, -0.999 * longest);
-                self.move_to(&to(at))?;
-            }
-            if side.nearer_by(expected, at) > 0.0 {
-                self.move_to(&to(expected))?;
+            if side.nearer_by(expected, work.retreat_m) > 0.0 {
+                self.move_in_steps(&to(expected))?;
             }
         }
         Ok(())

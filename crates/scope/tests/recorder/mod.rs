@@ -54,6 +54,8 @@ pub struct World {
     pub wall: Option<(usize, [f64; 2])>,
     /// What moves along x or y lifts z by this.
     pub lifts: f64,
+    /// Each move of an axis ends short by this, where it is longer.
+    pub short: f64,
     /// What it says of an axis is off by this.
     pub says: Option<(usize, f64)>,
     /// It takes stops, and goes on.
@@ -113,6 +115,7 @@ impl World {
             fault: None,
             wall: None,
             lifts: 0.0,
+            short: 0.0,
             says: None,
             deaf: false,
             excused: false,
@@ -326,6 +329,11 @@ impl Stage for Devices {
         }
         let from = world.at;
         let mut goal = [0, 1, 2].map(|k| from[k] + (asked[k] - said[k]));
+        for (goal, from) in goal.iter_mut().zip(from) {
+            if (*goal - from).abs() > world.short {
+                *goal -= world.short * (*goal - from).signum();
+            }
+        }
         if let Some((axis, [low, high])) = world.wall {
             goal[axis] = goal[axis].clamp(low.min(from[axis]), high.max(from[axis]));
         }
