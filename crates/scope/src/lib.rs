@@ -49,7 +49,7 @@ pub use error::{ErrorKind, Remedy, ScopeError};
 pub use flat_field::FlatField;
 pub use gate::{AtWork, Goals, MotionGate, Obeying};
 pub use immersion::{AskImmersion, Immersion, ImmersionChange};
-pub use instrument::{Counters, Instrument};
+pub use instrument::{Counters, Instrument, ObjectiveChange};
 pub use light::{Light, check_level};
 pub use nosepiece::{KnownBy, Nosepiece, Objective, by_immersion};
 pub use objective_id::ObjectiveId;

@@ -6,7 +6,7 @@ use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::{
     Event, Focus, FocusOptions, FocusResult, Identify, Phase, ServoError, Sink, VisionOptions,
 };
-use scopeservo_scope::{Instrument, ObjectiveId};
+use scopeservo_scope::{Instrument, ObjectiveChange, ObjectiveId};
 use serde::{Deserialize, Serialize};
 
 /// So often somebody is asked again who brought another objective into the beam.
@@ -30,6 +30,9 @@ pub struct Bring {
     state: State,
     found: Option<FocusResult>,
     mistakes: u8,
+    /// The change that is under way, written down before anything moves.
+    #[serde(default)]
+    change: Option<ObjectiveChange>,
 }
 
 impl Bring {
@@ -42,6 +45,19 @@ impl Bring {
             state: State::Switch,
             found: None,
             mistakes: 0,
+            change: None,
+        }
+    }
+
+    fn turn_again(&mut self) {
+        (self.state, self.change) = (State::Switch, None);
+    }
+
+    /// The height from which the focus was looked for, um.
+    pub(crate) fn focus_began_um(&self) -> Option<f64> {
+        match &self.state {
+            State::Focus(focus) => focus.began_um(),
+            State::Switch | State::Identify(_) => None,
         }
     }
 
@@ -76,12 +92,20 @@ impl Bring {
         if self.state != State::Switch
             && scope.gate().current_objective()?.as_ref() != Some(&self.objective)
         {
-            self.state = State::Switch;
+            self.turn_again();
         }
         match &mut self.state {
             State::Switch => {
-                self.enter(scope, sink, Phase::Switch);
-                scope.select_objective(&self.objective)?;
+                match &self.change {
+                    Some(change) => scope.change(change)?,
+                    None => {
+                        self.enter(scope, sink, Phase::Switch);
+                        self.change = scope.planned_change(&self.objective)?;
+                        if self.change.is_some() {
+                            return Ok(Progress::Continue);
+                        }
+                    }
+                }
                 let Some(options) = self.focus.clone() else {
                     return Ok(self.focused(scope, sink));
                 };
@@ -119,7 +143,7 @@ impl Bring {
                         });
                     }
                     self.mistakes += 1;
-                    self.state = State::Switch;
+                    self.turn_again();
                 }
             }
         }

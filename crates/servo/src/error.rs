@@ -195,7 +195,7 @@ pub enum ServoError {
     /// Rotations did not show the rotation centre.
     #[error(
         "calibration of {objective} failed: the rotation centre is known to {sigma_mm:.0} mm only, as the views that turn were not found. \
-         Calibrate where there is tissue all round, and give the rotation more room"
+         Calibrate where there is tissue all round, away from the limits: rotations need room"
     )]
     CentreUnknown {
         /// The active objective.

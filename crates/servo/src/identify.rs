@@ -5,7 +5,7 @@ use crate::event::tell;
 use crate::kinematics::PlanarPose;
 use crate::procedure::{Procedure, Progress, withdrawn};
 use crate::proof::{LEAST_PX, SEEN_PX};
-use crate::small_step::{SHARE, directions, place};
+use crate::small_step::{SHARE, directions, place, stands};
 use crate::vision::{centre_px, grab, gray, same_objective};
 use crate::{Event, FrameRole, Identity, ServoError, Sink, VisionOptions};
 use scopeservo_geometry::Vec2;
@@ -122,9 +122,7 @@ impl Identify {
     ) -> Result<Progress<Identity>, ServoError> {
         let home = match self.home {
             Some(home) => home,
-            None => *self
-                .home
-                .insert(PlanarPose::from(&scope.gate().position()?)),
+            None => *self.home.insert(stands(scope)?),
         };
         let info = scope.camera().info();
         let side_px = info.width.min(info.height) as f64;
@@ -163,7 +161,7 @@ impl Identify {
             _ => false,
         };
         if !stays {
-            scope.move_to(&home.request(&scope.gate().position()?))?;
+            scope.return_to(&home.request(&scope.gate().position()?))?;
         }
         let um_per_px = match looked? {
             Ok(um_per_px) => um_per_px,

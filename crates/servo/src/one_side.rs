@@ -1,7 +1,7 @@
 //! Moves that end from one side: the play of an axis is then taken up the same way at each, and what is between them is what was asked for.
 
 use crate::{Calibration, PlanarPose, ServoError};
-use scopeservo_scope::{Axis, Instrument, StagePose};
+use scopeservo_scope::{Axis, ErrorKind, Instrument, StagePose};
 
 /// So many times its play an axis goes to take it up.
 const RUN_UP: f64 = 1.5;
@@ -55,6 +55,18 @@ fn run_up(present: &StagePose, goal: &StagePose, calibration: &Calibration) -> O
     (via != *goal).then_some(via)
 }
 
+/// Goes where the play is taken up from, where a move may go there.
+fn runs_up(scope: &Instrument, via: &StagePose) -> Result<(), ServoError> {
+    if scope.gate().allowed(&[*via])? != [true] {
+        return Ok(());
+    }
+    match scope.move_to(via) {
+        // The way there is judged when the move begins.
+        Err(error) if error.kind() == ErrorKind::Refused => Ok(()),
+        gone => Ok(gone.map(drop)?),
+    }
+}
+
 /// Moves from where the stage stands to a goal, each axis that is known to have play going up at the end. Where the rules leave no room for
 /// that it goes straight there.
 pub(crate) fn move_from_one_side(
@@ -63,10 +75,8 @@ pub(crate) fn move_from_one_side(
     goal: &StagePose,
     calibration: &Calibration,
 ) -> Result<StagePose, ServoError> {
-    if let Some(via) = run_up(present, goal, calibration)
-        && scope.gate().allowed(&[via])? == [true]
-    {
-        scope.move_to(&via)?;
+    if let Some(via) = run_up(present, goal, calibration) {
+        runs_up(scope, &via)?;
     }
     Ok(scope.move_to(goal)?)
 }
@@ -78,9 +88,7 @@ pub(crate) fn move_from_below(
     calibration: &Calibration,
 ) -> Result<StagePose, ServoError> {
     let via = below(&PlanarPose::from(goal), Some(calibration)).request(goal);
-    if scope.gate().allowed(&[via])? == [true] {
-        scope.move_to(&via)?;
-    }
+    runs_up(scope, &via)?;
     Ok(scope.move_to(goal)?)
 }
 

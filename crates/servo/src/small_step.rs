@@ -1,5 +1,6 @@
 //! Small moves of the stage in the plane, to see what the image makes of them.
 
+use crate::ServoError;
 use crate::kinematics::PlanarPose;
 use scopeservo_geometry::Vec2;
 use scopeservo_scope::{Axis, Instrument};
@@ -25,4 +26,13 @@ pub(crate) fn place(home: &PlanarPose, along: Vec2, step_m: f64, k: f64) -> Plan
         x_m: [0, 1].map(|i| home.x_m[i] + k * step_m * along[i]),
         ..*home
     }
+}
+
+/// Where the stage stands, as what moves around it count from.
+///
+/// # Errors
+/// What the stage reports.
+pub(crate) fn stands(scope: &Instrument) -> Result<PlanarPose, ServoError> {
+    let at = scope.gate().position()?;
+    Ok(PlanarPose::from(&scope.gate().as_goal(&at)?))
 }

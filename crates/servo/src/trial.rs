@@ -2,9 +2,8 @@
 //!
 //! A stage whose unit is wrong by a thousand agrees with itself in all that it reports. Only an image shows it.
 
-use crate::kinematics::PlanarPose;
 use crate::procedure::run;
-use crate::small_step::{SHARE, directions, place};
+use crate::small_step::{SHARE, directions, place, stands};
 use crate::vision::{centre_px, gray, same_objective};
 use crate::{Identify, Identity, NoSink, ServoError, VisionOptions};
 use scopeservo_features::Features;
@@ -116,7 +115,7 @@ pub fn first_step(scope: &Instrument, vision: &VisionOptions) -> Result<(), Serv
         .fold(f64::INFINITY, f64::min);
     let step_m = FIRST_SHARE * SHARE * side_px * finest_m;
     let present = scope.gate().position()?;
-    let home = PlanarPose::from(&present);
+    let home = stands(scope)?;
     let request = |along| place(&home, along, step_m, 1.0).request(&present);
     let free = directions(scope)
         .into_iter()
@@ -133,7 +132,7 @@ pub fn first_step(scope: &Instrument, vision: &VisionOptions) -> Result<(), Serv
     scope.move_to(&request(along))?;
     let seen = shift_px(&before, &look(scope, vision)?, vision);
     let allowed_px = SHAKES_PX + (step_m + 2.0 * scatter_m) / finest_m;
-    scope.move_to(&home.request(&scope.gate().position()?))?;
+    scope.return_to(&home.request(&scope.gate().position()?))?;
     match seen {
         Some((px, _)) if px <= allowed_px => Ok(()),
         _ => Err(ServoError::MovesTooFar {

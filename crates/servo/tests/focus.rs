@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Bench, bench_over, one_objective};
-use scopeservo_scope::{Axis, AxisRange, Instrument, Limits, Rules, StagePose};
+use scopeservo_scope::{Axis, AxisRange, Instrument, LargestStep, Limits, Rules, StagePose};
 use scopeservo_servo::{
     ErrorCode, Focus, FocusOptions, FocusResult, NoSink, Procedure, Progress, ServoError, run,
 };
@@ -259,4 +259,40 @@ fn blank_glass_is_never_in_focus_whatever_is_on_the_camera() {
             );
         }
     }
+}
+
+#[test]
+fn a_focus_goes_in_steps_that_are_allowed_and_comes_back() {
+    let longest_m = 40e-6;
+    for specimen in [Arc::new(Blank) as Arc<dyn Specimen>, sparse(3)] {
+        let blank = bench_over(one_objective(), specimen, Vec::new());
+        let mut rules = blank.twin.rules();
+        rules.largest_steps.push(LargestStep {
+            axis: Axis::Z,
+            step: longest_m,
+        });
+        let devices = blank.twin.devices();
+        let scope = Instrument::new(devices, rules, blank.cancel.clone()).unwrap();
+        let bench = Bench { scope, ..blank };
+        put_out_of_focus_slowly(&bench);
+        let z_m = || bench.scope.gate().position().unwrap().si(Axis::Z).unwrap();
+        let began_m = z_m();
+        match focus(&bench) {
+            Ok(_) => {
+                let off_um = bench.twin.truth_now().defocus_um;
+                assert!(off_um.abs() < 1.0, "{off_um}");
+            }
+            Err(error) => {
+                assert_eq!(error.code(), ErrorCode::NoFocus, "{error}");
+                assert!((z_m() - began_m).abs() < 2e-6, "{} {began_m}", z_m());
+            }
+        }
+    }
+}
+
+fn put_out_of_focus_slowly(bench: &Bench) {
+    let z = bench.scope.gate().position().unwrap().si(Axis::Z).unwrap();
+    let side = bench.scope.gate().info().positive_z;
+    let to = StagePose::default().with_si(Axis::Z, side.away(z, 70e-6));
+    bench.scope.move_in_steps(&to).unwrap();
 }

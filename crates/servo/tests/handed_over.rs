@@ -3,7 +3,9 @@
 mod common;
 
 use common::{PLACE_UM, options};
-use scopeservo_scope::{CancelToken, Clock, Instrument, ObjectiveId, VirtualClock};
+use scopeservo_scope::{
+    CancelToken, Clock, GateEvent, Instrument, ObjectiveId, Observer, VirtualClock,
+};
 use scopeservo_servo::{
     Bring, Calibrate, Calibration, FocusOptions, NoSink, Procedure, Progress, Reposition, ServoEnd,
     Target, Verdict, VisionOptions, run,
@@ -73,6 +75,52 @@ fn a_run_killed_between_the_hand_over_and_the_next_objective_goes_on_and_arrives
     let now = twin.truth_now();
     let off = [0, 1].map(|k| now.centre_um[k] - aim.centre_um[k]);
     assert!(f64::hypot(off[0], off[1]) < 1.0, "{off:?}");
+}
+
+/// The stage is retracted then, and nobody knows any more where it stood but what was written down before.
+#[test]
+fn a_run_killed_while_the_objective_changes_goes_on_where_the_next_one_is_in_focus() {
+    for at_turn in [false, true] {
+        let (twin, known) = calibrated();
+        let cancel = CancelToken::new();
+        let scope = Instrument::new(twin.devices(), twin.rules(), cancel.clone()).unwrap();
+        let target = Target::save(&scope, &VisionOptions::default(), &mut NoSink).unwrap();
+        let aim = twin.truth_now();
+        let z_um = |scope: &Instrument| scope.gate().position().unwrap().z.unwrap().um();
+        let saved_um = z_um(&scope);
+        twin.remount(PLACE_UM, [180.0, -150.0], 3.0, false);
+        let mut machine = Reposition::new(target.clone(), options()).with_calibrations(known);
+        let stored = |machine: &Reposition| serde_json::to_value(machine).unwrap();
+        // Before the change to the strongest has been made: behind the retreat, or when it has turned.
+        let kill: Observer = Arc::new(move |event| {
+            let now = match &event {
+                GateEvent::Changed { to } => at_turn && to.0 == "40x",
+                GateEvent::ChangeBegan { to } => !at_turn && to.0 == "40x",
+                _ => false,
+            };
+            if now {
+                cancel.cancel();
+            }
+        });
+        scope.gate().observe(Some(kill));
+        let mut kept = stored(&machine);
+        while machine.step(&scope, &mut NoSink).is_ok() {
+            kept = stored(&machine);
+        }
+        assert!(kept["done"][0]["end"]["handed_over"].is_object(), "{kept}");
+        drop((machine, scope));
+
+        let scope = opened(&twin);
+        let away_um = (z_um(&scope) - saved_um).abs();
+        assert!(away_um > 1000.0, "retracted: {away_um}");
+        let found: Reposition = serde_json::from_value(kept).unwrap();
+        let mut found = found.with_target(target).after_a_kill();
+        let outcome = run(&mut found, &scope, &mut NoSink).unwrap();
+        assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
+        let now = twin.truth_now();
+        let off = [0, 1].map(|k| now.centre_um[k] - aim.centre_um[k]);
+        assert!(f64::hypot(off[0], off[1]) < 1.0, "{off:?}");
+    }
 }
 
 /// The rotation centre of one calibration is off as the paper's scatter has it, and it says to know it to a micrometre: by that the next objective

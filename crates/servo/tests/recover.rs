@@ -161,6 +161,47 @@ fn a_view_too_dark_or_too_bright_is_exposed_anew_and_the_camera_put_back() {
 }
 
 #[test]
+fn a_stop_while_the_exposure_is_adapted_leaves_the_camera_as_it_was() {
+    let bench = turntable();
+    let saved = saved();
+    let in_focus = StagePose {
+        z: saved.z,
+        ..StagePose::default()
+    };
+    bench.scope.move_to(&in_focus).unwrap();
+    bench
+        .scope
+        .focus_found(&saved.calibration.objective, saved.z.unwrap());
+    bench.twin.remount(PLACE_UM, [38.0, -45.0], 3.0, false);
+    let exposed = || bench.scope.camera().exposure().unwrap();
+    let dark = exposed().mul_f64(0.002);
+    bench.scope.camera().set_exposure(dark).unwrap();
+    let known = [(
+        saved.calibration.objective.clone(),
+        saved.calibration.clone(),
+    )];
+    let mut reposition = Reposition::new(saved.target.clone(), options()).with_calibrations(known);
+    // The second look is exposed longer.
+    let (mut looks, mut longest) = (0, dark);
+    let mut acts = Acts(|stamped: &Stamped| {
+        let role = FrameRole::Identify;
+        if matches!(&stamped.event, Event::FrameGrabbed { role: r, .. } if *r == role) {
+            (looks, longest) = (looks + 1, longest.max(exposed()));
+            if looks == 2 {
+                bench.cancel.cancel();
+            }
+        }
+    });
+    let ended = run(&mut reposition, &bench.scope, &mut acts);
+    assert!(ended.is_err(), "{ended:?}");
+    assert!(
+        looks == 2 && longest > dark.mul_f64(10.0),
+        "{looks} {longest:?}"
+    );
+    assert_eq!(exposed(), dark);
+}
+
+#[test]
 fn a_view_that_drifts_and_settles_is_waited_for_and_one_that_does_not_is_refused() {
     let drift = |um_per_s: [f64; 2]| {
         let [x, y] = um_per_s;

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Listener, PLACE_UM, bench, bench_over, one_objective, options};
 use scopeservo_geometry::Mat2;
-use scopeservo_scope::{Axis, Motion, ScopeError};
+use scopeservo_scope::{Axis, AxisRange, Instrument, Motion, ScopeError};
 use scopeservo_servo::{
     Calibrate, CalibrateOptions, Contradiction, Event, Focus, FocusOptions, NoSink, Procedure,
     Progress, Reposition, Servo, ServoEnd, ServoError, ServoOptions, ServoTask, Target,
@@ -160,4 +160,65 @@ fn the_iteration_limit_is_an_answer_not_an_arrival() {
     .unwrap();
     assert_eq!(outcome.reason, scopeservo_servo::Reason::IterationLimit);
     assert!(outcome.estimated_error_um.unwrap() > 0.5);
+}
+
+/// Places are judged with the slack of the axes, and goals are not: what has stood there can be sent back there. In a corner of its travel a stage
+/// with its rotation far away turns to one side only.
+#[test]
+fn in_a_corner_of_the_travel_a_view_is_saved_and_an_objective_calibrated() {
+    let bench = bench(one_objective());
+    bench.save();
+    let here = bench.scope.gate().position().unwrap();
+    let corner = |signs: [f64; 2], beyond_um: f64| {
+        let both = std::iter::zip([Axis::X, Axis::Y], signs);
+        let ranges = both.map(|(axis, sign)| {
+            let end = here.si(axis).unwrap() - sign * beyond_um * 1e-6;
+            let (min, max) = if sign > 0.0 {
+                (-8e-3, end)
+            } else {
+                (end, 8e-3)
+            };
+            AxisRange { axis, min, max }
+        });
+        let mut rules = bench.twin.rules();
+        rules.limits.ranges = ranges.collect();
+        Instrument::new(bench.twin.devices(), rules, bench.cancel.clone()).unwrap()
+    };
+    let calibrated = |scope: &Instrument, name: &str| {
+        let objective = scope.gate().objectives()[0].clone();
+        let options = options().calibrate;
+        let mut calibrate = Calibrate::new(objective, options, VisionOptions::default());
+        let known = run(&mut calibrate, scope, &mut NoSink);
+        let known = known.unwrap_or_else(|error| panic!("{name}: {error}"));
+        let variance = known.covariance.unwrap();
+        let sigma_m = [4, 5].map(|k: usize| variance[k][k].sqrt());
+        (known.rotation_centre_m.unwrap(), sigma_m)
+    };
+    let (free_m, free_sigma_m) = calibrated(&bench.scope, "free");
+    for (signs, beyond_um) in [
+        ([1.0, 1.0], -50.0),
+        ([1.0, 1.0], 0.8),
+        ([-1.0, 1.0], 0.3),
+        ([1.0, -1.0], 0.0),
+        ([-1.0, -1.0], 0.8),
+    ] {
+        let name = format!("{signs:?} {beyond_um}");
+        bench.scope.move_to(&here).unwrap();
+        let scope = corner(signs, beyond_um);
+        let saved = Target::save(&scope, &VisionOptions::default(), &mut NoSink);
+        assert!(saved.is_ok(), "{name}: {saved:?}");
+        let (centre_m, sigma_m) = calibrated(&scope, &name);
+        for k in 0..2 {
+            let (off_m, unsure_m) = (centre_m[k] - free_m[k], sigma_m[k].hypot(free_sigma_m[k]));
+            assert!(
+                unsure_m < 1e-4 && off_m.abs() < 4.0 * unsure_m,
+                "{name}: {off_m} {unsure_m}"
+            );
+        }
+        let there = scope.gate().position().unwrap();
+        for axis in [Axis::X, Axis::Y] {
+            let off = there.si(axis).unwrap() - here.si(axis).unwrap();
+            assert!(off.abs() < 2e-6, "{name}: {axis}: {off}");
+        }
+    }
 }

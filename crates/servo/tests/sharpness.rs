@@ -191,6 +191,44 @@ fn a_focus_that_is_used_again_and_does_not_hold_is_found_again() {
     }
 }
 
+/// The command began farther from the specimen, as with a lower objective: that is where a failed search goes back to.
+#[test]
+fn a_search_that_finds_nothing_sharper_leaves_the_height_at_which_the_run_stands() {
+    let (bench, target) = Story::default().begins(5);
+    let truth = bench.twin.truth_now();
+    let saved_um = z_um(&bench.scope);
+    let z = Length::from_um(saved_um);
+    bench.scope.focus_found(&calibration().objective, z);
+    let height = |um: f64| StagePose {
+        z: Some(Length::from_um(um)),
+        ..StagePose::default()
+    };
+    let side = bench.scope.gate().info().positive_z;
+    let far_um = side.away(saved_um, 60.0);
+    bench.scope.move_to(&height(far_um)).unwrap();
+    bench.scope.command_begins();
+    bench.scope.move_to(&height(saved_um)).unwrap();
+    bench.twin.remount(PLACE_UM, [38.0, -45.0], 3.0, false);
+    rises(&bench, -4.0);
+    let mut options = options();
+    options.reuse_focus = true;
+    // No sweep finds anything.
+    options.focus.min_contrast = 1e3;
+    let known = [(calibration().objective.clone(), calibration().clone())];
+    let mut reposition = Reposition::new(target, options).with_calibrations(known);
+    let outcome = run(&mut reposition, &bench.scope, &mut NoSink).unwrap();
+    let at_um = z_um(&bench.scope);
+    let ended = Ended {
+        defocus_um: bench.twin.truth_now().defocus_um,
+        off: bench.error_from(&truth),
+        outcome,
+    };
+    is_back("no sweep", &ended);
+    assert_eq!(ended.again(), 1, "{}", ended.outcome.message);
+    assert!(ended.blurred_um().is_some(), "{}", ended.outcome.message);
+    assert!((at_um - saved_um).abs() < 20.0, "{at_um}, {saved_um}");
+}
+
 #[test]
 fn what_is_within_half_a_depth_of_field_is_left_alone() {
     type Before = fn(&Bench);

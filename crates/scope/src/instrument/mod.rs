@@ -8,6 +8,8 @@ mod same_image;
 mod steps;
 mod waiting;
 
+pub use objective::ObjectiveChange;
+
 use crate::{
     Absent, AskImmersion, Camera, CancelToken, Clock, Devices, FlatField, Frame, Light, MotionGate,
     Obeying, Objective, ObjectiveId, Rules, ScopeError, StagePose,

@@ -46,7 +46,7 @@ const ASYMMETRY: f64 = 0.05;
 impl Focus {
     /// Goes to a height, and tells where the stage then says it is.
     fn go(scope: &Instrument, z_um: f64) -> Result<f64, ServoError> {
-        let at = scope.move_to(&height(z_um))?.z;
+        let at = scope.move_in_steps(&height(z_um))?.z;
         let at = at.ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?;
         Ok(at.um())
     }
@@ -58,7 +58,7 @@ impl Focus {
         let beyond = scope.gate().info().positive_z.away(z_um * 1e-6, way_m);
         let beyond = height(beyond * 1e6);
         if scope.gate().check(&beyond).is_ok() {
-            scope.move_to(&beyond)?;
+            scope.move_in_steps(&beyond)?;
         }
         Ok(())
     }

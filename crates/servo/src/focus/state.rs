@@ -115,6 +115,11 @@ impl Focus {
         Self::new(objective, bounded).expecting_here()
     }
 
+    /// The height from which it is looked for, um.
+    pub(crate) fn began_um(&self) -> Option<f64> {
+        self.start_um
+    }
+
     /// The samples on one level.
     pub(super) fn curve(&self, level: usize) -> Curve {
         let measure = self.options.measure.measure();

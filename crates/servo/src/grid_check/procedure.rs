@@ -271,7 +271,7 @@ impl GridCheck {
         };
         let via = Some(below(&start, None)).filter(|p| goals.allow(&p.request(&goals.here)));
         for pose in via.iter().chain([&start]) {
-            scope.move_to(&pose.request(&goals.here))?;
+            scope.return_to(&pose.request(&goals.here))?;
         }
         Ok(())
     }

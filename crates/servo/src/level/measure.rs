@@ -117,7 +117,7 @@ impl MeasureTilt {
     ) -> Result<(), ServoError> {
         match std::mem::take(&mut self.from_far) {
             true => scope.return_to_height(Length::from_um(z_um))?,
-            false => drop(scope.move_to(&height(z_um))?),
+            false => drop(scope.move_in_steps(&height(z_um))?),
         }
         let at = scope.gate().position()?.z;
         let at = at.ok_or(ScopeError::NoSuchAxis { axis: Axis::Z })?.um();

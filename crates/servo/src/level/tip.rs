@@ -218,14 +218,7 @@ fn retreat(scope: &Instrument, far_um: f64) -> Result<(), ServoError> {
 
 /// To a height nearer to the specimen, in steps that are allowed.
 fn approach(scope: &Instrument, to_um: f64) -> Result<(), ServoError> {
-    let side = scope.gate().info().positive_z;
-    let longest_um = 1e6 * largest_step(scope, Axis::Z);
-    let mut at_um = z_um(scope)?;
-    while side.nearer_by(to_um, at_um) > longest_um {
-        at_um = side.away(at_um, -longest_um);
-        scope.move_to(&height(at_um))?;
-    }
-    scope.move_to(&height(to_um))?;
+    scope.move_in_steps(&height(to_um))?;
     Ok(())
 }
 

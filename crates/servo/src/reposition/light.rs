@@ -68,13 +68,17 @@ impl Light {
             // How far above is not seen.
             return Some(1.0 / STEP.sqrt());
         }
+        // A ground without any light says nothing of how it was exposed.
+        if wanted.level <= 0.0 {
+            return None;
+        }
         let factor = wanted.level / self.level.max(wanted.level / STEP).max(f64::MIN_POSITIVE);
         (factor > far || self.saturated > 0.0 && factor < 1.0 / NEAR).then_some(factor)
     }
 }
 
 /// Adapts the exposure where the view is too dark or too bright: how it was exposed before, and how since. `None` where the light is as it was
-/// for the target, or the camera takes no other exposure.
+/// for the target, or the camera takes no other exposure. What fails leaves it as it was.
 pub(super) fn adapt(
     scope: &Instrument,
     sink: &mut dyn Sink,
@@ -85,8 +89,29 @@ pub(super) fn adapt(
     let Ok(before) = camera.exposure() else {
         return Ok(None);
     };
-    let (wanted, info) = (Light::wanted(target), camera.info());
     let mut now = before;
+    match adapted(scope, sink, objective, target, &mut now) {
+        Ok(()) => Ok((now != before).then_some([before, now])),
+        Err(error) => {
+            if now != before {
+                // Why is the news.
+                let _ = camera.set_exposure(before);
+            }
+            Err(error)
+        }
+    }
+}
+
+/// Exposes longer or shorter from frame to frame. `now`: how the camera is exposed.
+fn adapted(
+    scope: &Instrument,
+    sink: &mut dyn Sink,
+    objective: &ObjectiveId,
+    target: &Target,
+    now: &mut Duration,
+) -> Result<(), ServoError> {
+    let camera = scope.camera();
+    let (wanted, info) = (Light::wanted(target), camera.info());
     let mut far = 1.0 / DARK;
     for _ in 0..FRAMES {
         let frame = grab(scope, sink, FrameRole::Identify, objective)?;
@@ -102,11 +127,11 @@ pub(super) fn adapt(
             break;
         }
         match camera.set_exposure(next) {
-            Ok(set) => now = set,
+            Ok(set) => *now = set,
             Err(_) => break,
         }
     }
-    Ok((now != before).then_some([before, now]))
+    Ok(())
 }
 
 #[cfg(test)]
@@ -142,6 +167,12 @@ mod tests {
             let wanted = Light::of(&dark).attainable();
             assert_eq!(Light::of(&dark).factor(&wanted, far), None, "{ground}");
         }
+        // A ground of no light at all, and a hot pixel.
+        let mut hot = vec![0.0f32; 949];
+        hot.resize(999, 0.3);
+        hot.push(1.0);
+        let hot = Light::of(&hot);
+        assert_eq!(hot.factor(&hot.attainable(), far), None);
         let bright = of(0.97).attainable();
         assert!((bright.level - WANTED_AT_MOST).abs() < 1e-9);
     }

@@ -196,12 +196,8 @@ impl Servo {
             return Ok(Progress::Done(end));
         };
         let present = scope.gate().position()?;
-        move_from_one_side(
-            scope,
-            &present,
-            &before.request(&present),
-            task.view_calibration,
-        )?;
+        let back = scope.gate().as_goal(&before.request(&present))?;
+        move_from_one_side(scope, &present, &back, task.view_calibration)?;
         let (view, target) = (task.view_calibration, task.target_calibration);
         self.expected
             .moving(image_angle(error.theta_rad, view, target));

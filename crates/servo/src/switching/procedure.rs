@@ -268,7 +268,7 @@ impl Switching {
     fn go_home(&self, scope: &Instrument) -> Result<(), ServoError> {
         if let Some(reference) = &self.reference {
             let here = scope.gate().position()?;
-            scope.move_to(&reference.start.request(&here))?;
+            scope.return_to(&reference.start.request(&here))?;
         }
         Ok(())
     }

@@ -254,7 +254,7 @@ impl Procedure for SaveTarget {
             both.is_some_and(|(now, then)| (now - then).abs() > axis.tolerance())
         });
         if moved && !self.options.still {
-            scope.move_to(&PlanarPose::from(&stage).request(&now))?;
+            scope.return_to(&PlanarPose::from(&stage).request(&now))?;
         }
         let vision = &self.options.vision;
         let (mut target, mut image, frame) = Target::grab(scope, vision, sink)?;
@@ -276,7 +276,7 @@ impl Procedure for SaveTarget {
             target.taken = Some(Arc::new(self.taken(scope, &objective, frame, stage)?));
             return Ok(Progress::Done(self.tried(scope, target, &image)?));
         }
-        let home = PlanarPose::from(&stage);
+        let home = PlanarPose::from(&scope.gate().as_goal(&stage)?);
         let of = (&mut target, &mut image, &frame);
         let aside = self.look_aside(scope, sink, of, &home);
         // Back, also when a place was refused; a stage that failed or was stopped stays.
@@ -285,7 +285,7 @@ impl Procedure for SaveTarget {
             _ => false,
         };
         if !stays {
-            scope.move_to(&home.request(&scope.gate().position()?))?;
+            scope.return_to(&home.request(&scope.gate().position()?))?;
         }
         match aside? {
             Aside::Nothing { moved_um } => Err(ServoError::NothingMoves {

@@ -192,7 +192,7 @@ impl Chain {
             return Ok(());
         };
         for pose in self.via.iter().chain([&home]) {
-            scope.move_to(&pose.request(&present))?;
+            scope.return_to(&pose.request(&present))?;
         }
         Ok(())
     }
@@ -206,5 +206,5 @@ fn begins(scope: &Instrument) -> Result<PlanarPose, ServoError> {
             return Err(ScopeError::NoSuchAxis { axis }.into());
         }
     }
-    Ok(PlanarPose::from(&at))
+    Ok(PlanarPose::from(&scope.gate().as_goal(&at)?))
 }

@@ -48,16 +48,21 @@ impl Chain {
             scatter: Some(fit.scatter.map(Option::unwrap_or_default)),
         };
         let m_per_px = calibration.um_per_px() * 1e-6;
+        let centre_m = (4..6).map(|k| covariance[k][k].sqrt()).fold(0.0, f64::max);
+        let unknown = || ServoError::CentreUnknown {
+            objective: self.objective.id.clone(),
+            sigma_mm: 1e3 * centre_m,
+        };
+        // Without room to turn nothing is known of it, and the views contradict nothing.
+        if turns && centre_m > UNKNOWN_M && !self.has_turned() {
+            return Err(unknown());
+        }
         let stated_px = scatter_m(&fit, pose_sigma(scope.gate().info())) / m_per_px;
         if let Some(known) = self.known(scope) {
             self.still_obeys(scope, &known, &fit, &calibration, stated_px)?;
         }
-        let centre_m = (4..6).map(|k| covariance[k][k].sqrt()).fold(0.0, f64::max);
         if turns && centre_m > UNKNOWN_M {
-            return Err(ServoError::CentreUnknown {
-                objective: self.objective.id.clone(),
-                sigma_mm: 1e3 * centre_m,
-            });
+            return Err(unknown());
         }
         let residual_px = scatter_m(&fit, fit.scatter.map(Option::unwrap_or_default)) / m_per_px;
         if fit.left_out.len() as f64 > LEFT_OUT * self.pairs.len() as f64 {
@@ -77,6 +82,13 @@ impl Chain {
             error => error,
         })?;
         Ok((calibration, residual_px))
+    }
+
+    /// Whether any view was asked for that is turned.
+    fn has_turned(&self) -> bool {
+        let mut angles = self.taken.iter().map(|t| t.asked.theta_rad);
+        let first = angles.next();
+        angles.any(|angle| Some(angle) != first)
     }
 
     /// What all views say: known already, unless the path ended on one of which it learns nothing new.

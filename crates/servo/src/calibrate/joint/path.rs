@@ -10,6 +10,7 @@
 //! - The reference again: an axis that stopped on the way, lost steps or a slide that slipped may look like another rotation centre, but not
 //!   here.
 
+use super::fit::JointFit;
 use super::plan::{Known, Next, PathOptions, Role, Taken};
 use super::play::{Arrival, arrive, settled};
 use super::prospect::Prospect;
@@ -37,6 +38,8 @@ const TURNED_VIEWS: usize = 11;
 const LAST_VIEWS: usize = 1;
 /// Rotations wider and wider, at most: five are usual, and a centre that does not become known is not there.
 const MOST_WIDER: usize = 8;
+/// Rotations become wider to the other side where this one has less than this share of its room.
+const LITTLE_ROOM: f64 = 0.5;
 /// So often a step is made shorter when its view is not found.
 const RETRIES: u8 = 3;
 /// A view is registered to so many others at most.
@@ -175,31 +178,43 @@ impl Prospect<'_> {
         }
     }
 
-    /// The widest rotation that was found, rad.
+    /// The widest rotation that was found, to either side, rad.
     fn reached_rad(&self) -> f64 {
         let found = self.known.taken.iter().filter(|t| t.found);
         found
-            .map(|t| t.asked.theta_rad - self.reference().theta_rad)
+            .map(|t| (t.asked.theta_rad - self.reference().theta_rad).abs())
             .fold(0.0, f64::max)
+    }
+
+    /// The side to which rotations become wider, 1 or -1, and how wide they may, rad: the other side where the limits leave little room on this one.
+    fn wider_side(&self, fit: &JointFit) -> (f64, f64) {
+        let [one, other] =
+            [1.0, -1.0].map(|side| (side, self.widest_rad(fit, &self.reference(), side)));
+        match one.1 < LITTLE_ROOM * other.1 {
+            true => other,
+            false => one,
+        }
     }
 
     /// A rotation wider than those before by what the rotation centre allows.
     fn widen(&self, tries: u8) -> Option<(Role, PlanarPose)> {
         let fit = self.known.fit?;
         let reached_rad = self.reached_rad();
-        let widest_rad = self.widest_rad(fit, &self.reference(), 1.0);
         let wider = |t: &&Taken| matches!(t.role, Role::Widen { .. });
         let made = self.known.taken.iter().filter(wider).count();
+        let (side, widest_rad) = match made {
+            // A centre that no view has shown yet says nothing of the room there is; the first one turns very little.
+            0 => (1.0, self.options.widest_rad),
+            _ => self.wider_side(fit),
+        };
         if tries > RETRIES || made >= MOST_WIDER || reached_rad >= 0.999 * widest_rad {
             return self.sweep(0);
         }
-        let miss_m = self.options.miss_share * self.field_m() / f64::from(1u32 << (2 * tries));
+        let miss_m = self.miss_m() / f64::from(1u32 << (2 * tries));
         let on_rad = miss_m / (3.0 * self.lever_sigma_m(fit));
-        let turn_rad = (reached_rad + on_rad).min(widest_rad);
-        let pose = self
-            .turned(fit, &self.reference(), turn_rad)
-            .filter(|p| (self.allowed)(p))?;
-        Some((Role::Widen { tries }, pose))
+        let turn_rad = side * (reached_rad + on_rad).min(widest_rad);
+        let pose = self.turned(fit, &self.reference(), turn_rad)?;
+        Some((Role::Widen { tries }, self.near(&pose)?))
     }
 
     /// Where the last view of an arm is, or the reference where it has none.
@@ -228,9 +243,7 @@ impl Prospect<'_> {
             }
             false => 0.0,
         };
-        let pose = self
-            .turned(fit, &about, turn_rad)
-            .filter(|p| (self.allowed)(p))?;
-        Some((Role::Sweep { index: index as u8 }, pose))
+        let pose = self.turned(fit, &about, turn_rad)?;
+        Some((Role::Sweep { index: index as u8 }, self.near(&pose)?))
     }
 }

@@ -7,6 +7,21 @@ use crate::kinematics::{Motion2, PlanarPose, pose_after};
 use scopeservo_geometry::{Mat2, Vec2};
 use scopeservo_scope::Kinematics;
 
+/// At a limit a view lies beside where it should by this share of what a rotation may miss.
+const BESIDE: f64 = 0.7;
+/// To these sides, the least first.
+const ASIDE: [Vec2; 9] = [
+    [0.0, 0.0],
+    [1.0, 0.0],
+    [-1.0, 0.0],
+    [0.0, 1.0],
+    [0.0, -1.0],
+    [1.0, 1.0],
+    [1.0, -1.0],
+    [-1.0, 1.0],
+    [-1.0, -1.0],
+];
+
 /// What is known, with what is wanted and allowed.
 pub(super) struct Prospect<'a> {
     pub(super) options: &'a PathOptions,
@@ -101,14 +116,28 @@ impl Prospect<'_> {
         Some(pose_after(self.known.kinematics, about, &motion))
     }
 
+    /// How far a rotation may miss the view's centre, m.
+    pub(super) fn miss_m(&self) -> f64 {
+        self.options.miss_share * self.field_m()
+    }
+
+    /// A pose, or one so little beside it that the view misses nothing, where the stage may go: at a limit.
+    pub(super) fn near(&self, pose: &PlanarPose) -> Option<PlanarPose> {
+        let beside = |by: Vec2| PlanarPose {
+            x_m: [0, 1].map(|k| pose.x_m[k] + by[k] * BESIDE * self.miss_m()),
+            ..*pose
+        };
+        ASIDE.into_iter().map(beside).find(self.allowed)
+    }
+
     /// The widest rotation about a view to one side (1 or -1) that is allowed, rad.
     pub(super) fn widest_rad(&self, fit: &JointFit, about: &PlanarPose, side: f64) -> f64 {
         let shares = (0..20).map(|k| 1.0 - 0.05 * f64::from(k));
         shares
             .map(|share| share * self.options.widest_rad)
             .find(|angle| {
-                self.turned(fit, about, side * angle)
-                    .is_some_and(|p| (self.allowed)(&p))
+                let turned = self.turned(fit, about, side * angle);
+                turned.and_then(|p| self.near(&p)).is_some()
             })
             .unwrap_or(0.0)
     }

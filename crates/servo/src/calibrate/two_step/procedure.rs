@@ -88,7 +88,7 @@ impl TwoStep {
             }
         } else if self.translations.len() < NEEDED {
             if halvings == HALVINGS {
-                scope.move_to(&reference.request(&scope.gate().position()?))?;
+                scope.return_to(&reference.request(&scope.gate().position()?))?;
                 return Err(self.too_few(self.translations.len(), NEEDED));
             }
             self.translations.clear();
@@ -129,7 +129,7 @@ impl TwoStep {
         let widest = self.options.max_rotation_rad;
         self.state = match swept_px {
             None if tries >= 3 => {
-                scope.move_to(&reference.request(&scope.gate().position()?))?;
+                scope.return_to(&reference.request(&scope.gate().position()?))?;
                 return Err(self.too_few(0, 2));
             }
             None => State::Probe {
@@ -202,7 +202,7 @@ impl TwoStep {
             }
             State::Return => {
                 let reference = self.reference_pose.ok_or_else(no_reference)?;
-                scope.move_to(&reference.request(&scope.gate().position()?))?;
+                scope.return_to(&reference.request(&scope.gate().position()?))?;
                 if scope.gate().info().axis(Axis::Rz).is_some() && self.rotations.is_empty() {
                     return Err(self.too_few(0, 1));
                 }

@@ -101,7 +101,7 @@ impl Reposition {
         Ok(self.tries_again(scope, sink, error)?
             || self.went_astray(scope, error)?
             || self.passes_by(error)
-            || self.widens_focus(scope, sink, error))
+            || self.widens_focus(scope, sink, error)?)
     }
 
     /// What a look at the objective says to a target that was not seen.
@@ -204,7 +204,7 @@ impl Reposition {
         };
         self.came_back = true;
         let present = scope.gate().position()?;
-        scope.move_to(&before.request(&present))?;
+        scope.return_to(&before.request(&present))?;
         self.done.push(MagnificationResult {
             magnification: scope.objective(leg.objective())?.magnification,
             objective: leg.objective().clone(),
@@ -222,7 +222,7 @@ impl Reposition {
     fn to_the_start(&self, scope: &Instrument) -> Result<(), ServoError> {
         if let Some(began) = self.began {
             let present = scope.gate().position()?;
-            scope.move_to(&began.request(&present))?;
+            scope.return_to(&began.request(&present))?;
         }
         Ok(())
     }

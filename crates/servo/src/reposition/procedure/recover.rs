@@ -4,7 +4,7 @@ use super::super::light;
 use super::{Reposition, State, Work};
 use crate::event::tell;
 use crate::{Attempt, ErrorCode, Event, FocusOptions, Remark, ServoError, Sink};
-use scopeservo_scope::{Instrument, ObjectiveId};
+use scopeservo_scope::{Instrument, Length, ObjectiveId};
 
 /// A wider sweep goes so many times as far from the specimen; towards it, no farther than before.
 const WIDER: f64 = 2.5;
@@ -50,8 +50,23 @@ impl Reposition {
         let [from_ms, to_ms] = [before, now].map(|t| 1e3 * t.as_secs_f64());
         let attempt = Attempt::ExposureAdapted { from_ms, to_ms };
         self.tell_attempt(scope, sink, objective, attempt);
+        self.returns_to_where_it_began(scope)?;
         self.bring(scope, leg);
         Ok(true)
+    }
+
+    /// After a focus that found nothing the stage stands where the command began, which may be farther from the specimen than where this objective is
+    /// expected in focus.
+    fn returns_to_where_it_began(&self, scope: &Instrument) -> Result<(), ServoError> {
+        if let State::Under {
+            work: Work::Bring(bring),
+            ..
+        } = &self.state
+            && let Some(z_um) = bring.focus_began_um()
+        {
+            scope.return_to_height(Length::from_um(z_um))?;
+        }
+        Ok(())
     }
 
     /// As the camera was exposed when the run began. What fails is no answer to the run.
@@ -80,19 +95,19 @@ impl Reposition {
         scope: &Instrument,
         sink: &mut dyn Sink,
         error: &ServoError,
-    ) -> bool {
+    ) -> Result<bool, ServoError> {
         let unfocused = matches!(error.code(), ErrorCode::NoFocus | ErrorCode::AtLimit);
         let State::Under {
             leg,
             work: Work::Bring(_),
         } = &self.state
         else {
-            return false;
+            return Ok(false);
         };
         let half_range_um = WIDER * self.options.focus.half_range_um;
         let attempt = Attempt::FocusWidened { half_range_um };
         if !unfocused || !self.tried.first(&attempt) {
-            return false;
+            return Ok(false);
         }
         let leg = leg.clone();
         self.tell_attempt(scope, sink, leg.objective().clone(), attempt);
@@ -100,8 +115,9 @@ impl Reposition {
             half_range_um,
             ..self.options.focus.clone()
         };
+        self.returns_to_where_it_began(scope)?;
         self.bring_within(leg, Some(wider));
-        true
+        Ok(true)
     }
 
     pub(super) fn tell_attempt(

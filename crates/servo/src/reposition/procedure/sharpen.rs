@@ -97,7 +97,7 @@ impl Reposition {
         let nearer = info.positive_z.nearer_by(way_um, 0.0) > 0.0;
         let play_um = info.axis(Axis::Z).map_or(0.0, AxisInfo::clearance) * 1e6;
         match nearer || play_um <= LITTLE_PLAY * way_um.abs() {
-            true => scope.move_to(&to).map(drop)?,
+            true => scope.move_in_steps(&to).map(drop)?,
             false => Focus::go_from_far(scope, z_um).map(drop)?,
         }
         if let State::Under {
@@ -133,7 +133,7 @@ impl Reposition {
         Ok(true)
     }
 
-    /// The sweep goes on or has ended. One that found nothing has gone back to where it began, and the loop goes on there.
+    /// The sweep goes on or has ended. After one that found nothing the loop goes on where it began.
     pub(super) fn focused(
         &mut self,
         scope: &Instrument,
@@ -142,19 +142,24 @@ impl Reposition {
     ) -> Result<Option<Outcome>, ServoError> {
         let State::Under {
             leg,
-            work: Work::Focus { servo, .. },
+            work: Work::Focus { servo, focus },
         } = &self.state
         else {
             return Ok(None);
         };
-        let (leg, mut servo) = (leg.clone(), servo.clone());
+        let (leg, mut servo, began_um) = (leg.clone(), servo.clone(), focus.began_um());
         match ended {
             Ok(Progress::Continue) => return Ok(None),
             Ok(Progress::Done(result)) => {
                 let objective = leg.objective().clone();
                 tell(scope, sink, Event::Focused { objective, result });
             }
-            Err(ServoError::NoFocus { .. } | ServoError::FocusAtLimit { .. }) => {}
+            Err(ServoError::NoFocus { .. } | ServoError::FocusAtLimit { .. }) => {
+                // A failed focus ends where the command began, which may be farther away.
+                if let Some(z_um) = began_um {
+                    scope.return_to_height(Length::from_um(z_um))?;
+                }
+            }
             Err(error) => return Err(error),
         }
         self.enter(scope, sink, Phase::Servo, &leg);

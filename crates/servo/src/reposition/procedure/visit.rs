@@ -240,7 +240,7 @@ impl Reposition {
             return Ok(false);
         };
         let present = scope.gate().position()?;
-        scope.move_to(&stood.request(&present))?;
+        scope.return_to(&stood.request(&present))?;
         if !scope.gate().objective_is_turned_by_hand() {
             scope.select_objective(&objective)?;
         }
