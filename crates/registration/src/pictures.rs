@@ -123,6 +123,8 @@ pub fn register_pictures(
             (found, PictureVerdict::Mirrored { estimate })
         }
         _ if !allow.mirror => (answer, verdict),
+        // A mirror image that is not there says nothing of what else was seen.
+        PictureVerdict::NotFound(_) => (answer, verdict),
         told => (found, told),
     })
 }

@@ -32,6 +32,10 @@ const RIVAL_OVERLAP: f64 = 0.2;
 /// Fewer places than these, at least or as a share of those asked, are not even worth a look at the pixels.
 const LEAST_PLACES: usize = 3;
 const LEAST_SHARE: f64 = 0.08;
+/// Transforms are looked for so often at most, each time among the places that those before leave.
+const ROUNDS: usize = 6;
+/// The commonest shifts are looked at, so many of them each time.
+const SHIFTS: usize = 6;
 /// A pair of keypoints may scale by so much less or more than the whole image.
 const SCALE_SLACK: f64 = 1.6;
 /// How far the shift of a rival is from a multiple of a pixel's place on the sensor to be taken for fixed to it, px and rad.
@@ -131,31 +135,47 @@ pub fn find_rivals(
             && differs(view, first, t, threshold)
             && !(without_identity && stays(view, t))
     };
-    let mut candidates = shifts(first, &named, threshold);
-    candidates.extend(turned(&named, &allowed, options.seed, threshold));
-    let rated = candidates
-        .into_iter()
-        .filter_map(|t| rate(view, target, first, &asked, &named, t, threshold));
-    let mut rivals: Vec<Rival> = rated
-        .filter(|r| allowed(&r.target_from_view))
-        .filter(|r| r.places >= LEAST_PLACES && r.places as f64 >= LEAST_SHARE * r.asked as f64)
-        .map(|r| Rival {
-            significant: r.places >= least_places(&r, target, threshold, options),
-            ..r
-        })
-        .collect();
-    rivals.sort_by_key(|r| std::cmp::Reverse(r.places));
-    // Each once.
+    let counts =
+        |r: &Rival| r.places >= LEAST_PLACES && r.places as f64 >= LEAST_SHARE * r.asked as f64;
     let mut told: Vec<Rival> = Vec::new();
-    for rival in rivals {
-        let off = |o: &Rival| {
-            let d = [0, 1].map(|k| o.shift_px[k] - rival.shift_px[k]);
-            f64::hypot(d[0], d[1]) + (o.turn_rad - rival.turn_rad).abs() * view.width as f64
-        };
-        if told.iter().all(|o| off(o) > 2.0 * threshold) {
-            told.push(rival);
+    // What many places name hides what few do: what is explained is put aside, and the rest asked again.
+    let mut left: Vec<&Named> = named.iter().collect();
+    for _ in 0..ROUNDS {
+        let mut candidates = shifts(first, &left, threshold);
+        candidates.extend(turned(&left, &allowed, options.seed, threshold));
+        let rated = candidates
+            .into_iter()
+            .filter_map(|t| rate(view, target, first, &asked, &named, t, threshold));
+        let mut rivals: Vec<Rival> = rated
+            .filter(|r| allowed(&r.target_from_view) && counts(r))
+            .collect();
+        rivals.sort_by_key(|r| std::cmp::Reverse(r.places));
+        let before = told.len();
+        for rival in rivals {
+            // Each once.
+            let off = |o: &Rival| {
+                let d = [0, 1].map(|k| o.shift_px[k] - rival.shift_px[k]);
+                f64::hypot(d[0], d[1]) + (o.turn_rad - rival.turn_rad).abs() * view.width as f64
+            };
+            if told.iter().all(|o| off(o) > 2.0 * threshold) {
+                told.push(Rival {
+                    significant: rival.places >= least_places(&rival, target, threshold, options),
+                    ..rival
+                });
+            }
         }
+        if told.len() == before {
+            break;
+        }
+        let explained = |n: &&Named| {
+            let found = told[before..].iter();
+            found
+                .map(|r| &r.target_from_view)
+                .any(|t| agrees(t, n, threshold))
+        };
+        left.retain(|n| !explained(n));
     }
+    told.sort_by_key(|r| std::cmp::Reverse(r.places));
     told
 }
 
@@ -291,8 +311,8 @@ fn name(side: Side, asked: usize, v: &Keypoint, t: &Keypoint) -> Named {
 }
 
 /// The first transform, shifted as most of the others named are: their commonest shifts.
-fn shifts(first: &Estimate, named: &[Named], threshold: f64) -> Vec<Affine2> {
-    let shift = |n: &Named| {
+fn shifts(first: &Estimate, named: &[&Named], threshold: f64) -> Vec<Affine2> {
+    let shift = |n: &&Named| {
         let here = first.target_from_view.apply(n.pair.p_in_a);
         [n.pair.p_in_b[0] - here[0], n.pair.p_in_b[1] - here[1]]
     };
@@ -309,10 +329,16 @@ fn shifts(first: &Estimate, named: &[Named], threshold: f64) -> Vec<Affine2> {
     };
     let mut counted: Vec<(usize, [i64; 2])> = cells.keys().map(|c| (around(c), *c)).collect();
     counted.sort_by_key(|&(count, cell)| (std::cmp::Reverse(count), cell));
-    counted
+    let mut commonest: Vec<[i64; 2]> = Vec::new();
+    for (_, c) in counted {
+        let beside = |o: &[i64; 2]| (0..2).all(|k| (o[k] - c[k]).abs() <= 1);
+        if commonest.len() < SHIFTS && !commonest.iter().any(beside) {
+            commonest.push(c);
+        }
+    }
+    commonest
         .iter()
-        .take(6)
-        .map(|(_, c)| {
+        .map(|c| {
             let mut at = c.map(|v| (v as f64 + 0.5) * threshold);
             for radius in [2.0, 1.0, 1.0] {
                 let near: Vec<&Vec2> = all
@@ -336,7 +362,7 @@ fn shifts(first: &Estimate, named: &[Named], threshold: f64) -> Vec<Affine2> {
 
 /// A transform of any angle that the others named agree on.
 fn turned(
-    named: &[Named],
+    named: &[&Named],
     allowed: &dyn Fn(&Affine2) -> bool,
     seed: u64,
     threshold: f64,
@@ -353,6 +379,11 @@ fn turned(
     Some(fit.model)
 }
 
+fn agrees(t: &Affine2, n: &Named, threshold: f64) -> bool {
+    let q = t.apply(n.pair.p_in_a);
+    f64::hypot(q[0] - n.pair.p_in_b[0], q[1] - n.pair.p_in_b[1]) <= threshold
+}
+
 /// How many of the places asked a transform explains, fitted to them.
 fn rate(
     view: &Features,
@@ -363,12 +394,8 @@ fn rate(
     rough: Affine2,
     threshold: f64,
 ) -> Option<Rival> {
-    let agrees = |t: &Affine2, n: &Named| {
-        let q = t.apply(n.pair.p_in_a);
-        f64::hypot(q[0] - n.pair.p_in_b[0], q[1] - n.pair.p_in_b[1]) <= threshold
-    };
     let near = |t: &Affine2| -> Vec<Correspondence> {
-        let near = named.iter().filter(|n| agrees(t, n));
+        let near = named.iter().filter(|n| agrees(t, n, threshold));
         near.map(|n| n.pair).collect()
     };
     // A turned lattice of pixels that are not square is no similarity, and few places bend an affine transform.
@@ -376,7 +403,9 @@ fn rate(
     let affine = |t: Affine2| affine_robust(&near(&t));
     let bent = similar.and_then(affine).and_then(affine);
     let explained = |t: &Affine2, side: Side| {
-        let of = named.iter().filter(|n| n.side == side && agrees(t, n));
+        let of = named
+            .iter()
+            .filter(|n| n.side == side && agrees(t, n, threshold));
         let mut explained: Vec<usize> = of.map(|n| n.asked).collect();
         explained.dedup();
         explained.len()

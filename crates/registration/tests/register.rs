@@ -3,7 +3,7 @@
 use scopeservo_features::{Descriptors, Engine, Features, Keypoint};
 use scopeservo_geometry::{Affine2, Similarity, SplitMix64, cholesky_inverse};
 use scopeservo_registration::{
-    Method, NotFound, Options, Prior, Registration, RotationPrior, ScalePrior,
+    Method, NotFound, Options, Prior, Registration, Rival, RotationPrior, ScalePrior, find_rivals,
 };
 
 const SIZE: [usize; 2] = [640, 480];
@@ -300,4 +300,32 @@ fn the_same_input_gives_the_same_answer() {
     let (view, target) = pairs(60, 180, 0.3, 8, 1.0);
     let answer = || register(&view, &target, &Prior::default(), &Options::default());
     assert_eq!(answer(), answer());
+}
+
+/// A wafer's die holds an array of equal cells and other things; the next die is as much like it.
+#[test]
+fn a_copy_far_away_is_a_rival_though_nearer_things_look_alike_among_themselves() {
+    let mut rng = SplitMix64::new(5);
+    let at = |i: usize, y: f64| [12.0 * (i % 12) as f64, y + 12.0 * (i / 12) as f64];
+    let mut die: Vec<([f64; 2], [u8; 128])> = (0..144).map(|i| (at(i, 0.0), [10; 128])).collect();
+    die.extend((0..60).map(|i| (at(i, 160.0), std::array::from_fn(|_| rng.below(32) as u8))));
+    let drawn = |corners: &[[f64; 2]]| {
+        let mut all = empty();
+        for corner in corners {
+            for (p, descriptor) in &die {
+                let place = [corner[0] + p[0], corner[1] + p[1]];
+                push(&mut all, keypoint(place, 2.0, 0.5), descriptor);
+            }
+        }
+        all
+    };
+    let view = drawn(&[[40.0, 40.0], [340.0, 40.0]]);
+    let target = drawn(&[[100.0, 100.0]]);
+    let (prior, options) = (Prior::default(), Options::default());
+    let answer = register(&view, &target, &prior, &options);
+    assert!(answer.found().is_some());
+    let all = find_rivals(&view, &target, &answer, &prior, &options, false);
+    let far = |r: &Rival| (f64::hypot(r.shift_px[0], r.shift_px[1]) - 300.0).abs() < 3.0;
+    assert!(all.iter().any(far), "{all:?}");
+    assert!(all.is_sorted_by_key(|r| std::cmp::Reverse(r.places)));
 }

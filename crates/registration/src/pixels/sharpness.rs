@@ -221,7 +221,7 @@ impl<'a> Side<'a> {
             size: [image.width(), image.height()],
             mask,
             bin: 1.0,
-            noise: noise_per_light(image),
+            noise: noise_per_light(image, [low, high]),
             clipped: [low, high],
         }
     }
@@ -343,8 +343,8 @@ const MOST_NOISE: usize = 400;
 /// Of all blocks this share has less noise per light than is said: structure is rarely everywhere.
 const QUIET: f64 = 0.1;
 
-/// The variance of the noise over the light, of the quietest blocks.
-fn noise_per_light(image: &GrayImage) -> f64 {
+/// The variance of the noise over the light, of the quietest blocks. What is clipped has none, and tells nothing of the rest.
+fn noise_per_light(image: &GrayImage, [low, high]: [f32; 2]) -> f64 {
     let (w, h, data) = (image.width(), image.height(), image.data());
     let mut all = Vec::new();
     let apart = NOISE_SIDE
@@ -353,7 +353,7 @@ fn noise_per_light(image: &GrayImage) -> f64 {
             .max(1);
     for top in (1..h.saturating_sub(NOISE_SIDE + 1)).step_by(apart) {
         for left in (1..w.saturating_sub(NOISE_SIDE + 1)).step_by(apart) {
-            let (mut sum, mut light) = (0.0f32, 0.0f32);
+            let (mut sum, mut light, mut clipped) = (0.0f32, 0.0f32, 0);
             for y in top..top + NOISE_SIDE {
                 for k in y * w + left..y * w + left + NOISE_SIDE {
                     let v = |k: usize| data[k];
@@ -362,9 +362,11 @@ fn noise_per_light(image: &GrayImage) -> f64 {
                     let sides = v(k - 1) + v(k + 1) + v(k - w) + v(k + w);
                     sum += (corners - 2.0 * sides + 4.0 * v(k)).powi(2);
                     light += v(k);
+                    clipped += usize::from(v(k) <= low || v(k) >= high);
                 }
             }
-            if light > 0.0 {
+            let few = clipped as f64 <= CLIPPED * (NOISE_SIDE * NOISE_SIDE) as f64;
+            if light > 0.0 && few {
                 all.push(f64::from(sum / 36.0 / light));
             }
         }

@@ -15,6 +15,10 @@ pub(super) const REACH_PX: f64 = 2.0;
 /// Least share of the pixels at one end of the range that a clipped image has there.
 const CLIPPED_SHARE: f64 = 0.002;
 
+/// Steps of an image of 8 bits, and how near to them its values are.
+const LEVELS: f32 = 255.0;
+const LEVEL_SLACK: f32 = 1e-3;
+
 /// An image between its pixels. Integer coordinates are pixel centres.
 pub(super) struct Surface<'a> {
     width: usize,
@@ -104,7 +108,7 @@ impl<'a> Surface<'a> {
     }
 
     /// What noise alone does to the sum of the squared gradient's components, by the median of second differences of the image as it is:
-    /// structure is rarely everywhere.
+    /// structure is rarely everywhere. What is clipped all round shows none. It is no less than what the steps of an image of 8 bits make.
     pub(super) fn noise_of_gradient(&self) -> f64 {
         // Every seventh pixel is enough, at most so many.
         const MOST: usize = 20_000;
@@ -114,20 +118,46 @@ impl<'a> Surface<'a> {
         }
         let inner = (w - 2) * (self.height - 2);
         let step = (inner / MOST).max(1) | 1;
+        let mut in_steps = true;
         let mut all: Vec<f32> = (0..inner)
             .step_by(step)
-            .map(|i| {
+            .filter_map(|i| {
                 let k = (1 + i / (w - 2)) * w + 1 + i % (w - 2);
                 let v = |k: usize| self.raw[k];
+                let level = v(k) * LEVELS;
+                in_steps &= (level - level.round()).abs() < LEVEL_SLACK;
+                let mut around = [
+                    k - w - 1,
+                    k - w,
+                    k - w + 1,
+                    k - 1,
+                    k,
+                    k + 1,
+                    k + w - 1,
+                    k + w,
+                    k + w + 1,
+                ]
+                .into_iter();
+                if around.all(|k| self.is_clipped(v(k))) {
+                    return None;
+                }
                 // Blind to slopes and to curvature along an axis: (Immerkaer, 1996).
                 let corners = v(k - w - 1) + v(k - w + 1) + v(k + w - 1) + v(k + w + 1);
                 let sides = v(k - 1) + v(k + 1) + v(k - w) + v(k + w);
-                (corners - 2.0 * sides + 4.0 * v(k)).abs()
+                Some((corners - 2.0 * sides + 4.0 * v(k)).abs())
             })
             .collect();
         let middle = all.len() / 2;
-        let median = *all.select_nth_unstable_by(middle, f32::total_cmp).1;
-        let sigma = f64::from(median) * 1.4826 / 6.0;
+        let median = match all.is_empty() {
+            true => 0.0,
+            false => *all.select_nth_unstable_by(middle, f32::total_cmp).1,
+        };
+        let steps = if in_steps {
+            f64::from(LEVELS).recip() / 12f64.sqrt()
+        } else {
+            0.0
+        };
+        let sigma = (f64::from(median) * 1.4826 / 6.0).max(steps);
         // White noise under a Gaussian of variance s^2: each component has 1/(8 pi s^4) of its variance. A quarter under the spline alone,
         // which is as much as under s^2 = 0.4.
         let s_sq = self.blur_px * self.blur_px + 0.4;

@@ -120,3 +120,32 @@ fn what_covers_two_fifths_is_no_evidence_and_what_looks_alike_in_a_quarter_or_sc
         }
     }
 }
+
+/// More than half of the view is overexposed, and there are few cells: blocks of noise alone say nothing.
+#[test]
+fn noise_beside_overexposed_glass_is_no_structure() {
+    let cell = |k: usize| [44.5 + 48.0 * (k % 3) as f64, 44.5 + 72.0 * (k / 3) as f64];
+    let cells: Vec<Vec2> = (0..8).map(cell).collect();
+    let blank = case(1, 1.0, 0.0, [0.6, 0.6]);
+    let drawn = |image: &GrayImage, seed| {
+        let light = |p: Vec2, _: f64| {
+            let dark = |c: &Vec2| {
+                let away_sq = (p[0] - c[0]).powi(2) + (p[1] - c[1]).powi(2);
+                0.3 * (-away_sq / 32.0).exp()
+            };
+            let dark: f64 = cells.iter().map(dark).sum();
+            (0.85 - dark) * if p[0] < 192.0 { 1.25 } else { 1.1 }
+        };
+        noisy(&changed(image, light), 0.01, seed)
+    };
+    let case = Case {
+        view: drawn(&blank.view, 5),
+        target: drawn(&blank.target, 6),
+        target_from_view: Affine2::IDENTITY,
+        zoom: 1.0,
+    };
+    let edge = (0..9).map(|k| [188.5, 20.5 + 24.0 * f64::from(k)]);
+    let fitted: Vec<Vec2> = cells.iter().copied().chain(edge).collect();
+    let seen = weigh(&case.pictures(), &case.target_from_view, &fitted);
+    assert_ne!(seen.judgement, Judgement::Contradicts, "{seen:?}");
+}

@@ -90,3 +90,17 @@ fn how_sharp_is_not_said_of_other_pixels_nor_of_nothing() {
     blank.view = noisy(&changed(&blank.view, |_, _| 0.7), 0.01, 2);
     assert_eq!(sharp_of(&blank), None);
 }
+
+#[test]
+fn overexposed_glass_is_not_taken_for_an_image_without_noise() {
+    for seed in [3, 4] {
+        let mut case = case(seed, 1.0, 0.0, [1.2, 0.7]);
+        let lit = |image: &GrayImage, seed| {
+            let image = noisy(&changed(image, |_, v| 0.5 + 0.3 * (v - 0.5)), 0.006, seed);
+            changed(&image, |p, v| if p[1] < 48.0 { 1.0 } else { v })
+        };
+        case.view = lit(&case.view, 2 * seed);
+        case.target = lit(&case.target, 2 * seed + 1);
+        softer_is("overexposed", &sharp(&case), 0.95, 0.3);
+    }
+}

@@ -4,15 +4,13 @@
 //! frame: the proof by motion asks of them what it asks of features. What else looks like the target is told as a rival.
 
 use super::{Expected, FeatureLocalizer, Localizer, Measurement, says_nothing};
-use crate::{FixedPlaces, LocatedBy, ServoError, Target, VisionOptions};
-use scopeservo_features::{GrayImage, Mask};
+use crate::{LocatedBy, ServoError, Target, VisionOptions};
+use scopeservo_features::GrayImage;
 use scopeservo_geometry::{Affine2, Vec2};
 use scopeservo_registration::correlation::{Correlation, Perhaps, Picture, correlate, look_alikes};
 use scopeservo_registration::{NotFound, Rival, ScalePrior};
 use std::borrow::Cow;
 
-/// Side of the cells in which fixed places are left out, pixels.
-const CELL: usize = 4;
 /// Fewer agreeing features than these, below the target's magnification by at least this factor, are looked for elsewhere as well.
 const FEW: usize = 12;
 const LOWER: f64 = 1.5;
@@ -70,8 +68,8 @@ fn pictures<T>(
 ) -> Option<T> {
     let scale = expected.prior.scale?;
     let image = target.gray().ok()?;
-    let free = free_of(expected.fixed, view);
-    let of_target = free_of(expected.fixed, &image);
+    let free = expected.fixed.free(view);
+    let of_target = expected.fixed.free(&image);
     let moved = target.mask.as_ref();
     let in_view = |p: Vec2| free.as_ref().is_none_or(|m| m.holds(p));
     let in_target =
@@ -99,13 +97,6 @@ fn measurement(seen: Correlation) -> Option<Measurement> {
         features: None,
         rivals: seen.rivals,
     })
-}
-
-/// Where nothing is fixed to the camera; `None` where nothing is known to be, or the image is another camera's.
-fn free_of(fixed: &FixedPlaces, image: &GrayImage) -> Option<Mask> {
-    let size = [image.width(), image.height()];
-    (fixed.size() == size && !fixed.is_empty())
-        .then(|| Mask::of_cells(size[0], size[1], CELL, |p| !fixed.holds(p)))
 }
 
 impl Localizer for CorrelationLocalizer<'_> {

@@ -157,6 +157,14 @@ pub struct FixedPlaces {
     places: Vec<[f32; 3]>,
 }
 
+/// Side of the cells in which they are left out, pixels: the middle of one lies on the smallest.
+const FREE_CELL: usize = 4;
+
+fn reaches(&[x, y, r]: &[f32; 3], p: Vec2) -> bool {
+    let d = [p[0] - f64::from(x), p[1] - f64::from(y)];
+    d[0] * d[0] + d[1] * d[1] < f64::from(r * r)
+}
+
 /// A keypoint's place: what lies so near to it is part of the same thing.
 fn extent([x, y]: [f32; 2], sigma: f32) -> [f32; 3] {
     [x, y, (2.0 * sigma).max(4.0)]
@@ -195,12 +203,34 @@ impl FixedPlaces {
         self.places.extend(places);
     }
 
+    /// What of an image lies on none of them, in cells; `None` where there are none, or the image is of another size, which is another camera's.
+    pub(crate) fn free(&self, image: &GrayImage) -> Option<Mask> {
+        let size = [image.width(), image.height()];
+        if self.is_empty() || self.size() != size {
+            return None;
+        }
+        let cells = size.map(|side| side.div_ceil(FREE_CELL));
+        let middle = |cell: usize| (cell * FREE_CELL) as f64 + (FREE_CELL as f64 - 1.0) / 2.0;
+        let mut free = vec![u8::MAX; cells[0] * cells[1]];
+        for &[x, y, r] in &self.places {
+            let [columns, rows] = [(x, cells[0]), (y, cells[1])].map(|(at, count)| {
+                let end = |v: f32| (v.max(0.0) as usize / FREE_CELL).min(count);
+                end(at - r)..(end(at + r) + 1).min(count)
+            });
+            for row in rows {
+                for column in columns.clone() {
+                    if reaches(&[x, y, r], [column, row].map(middle)) {
+                        free[row * cells[0] + column] = 0;
+                    }
+                }
+            }
+        }
+        Mask::from_cells(size[0], size[1], FREE_CELL, &free)
+    }
+
     /// Whether a place of the image is one of them.
     pub(crate) fn holds(&self, p: Vec2) -> bool {
-        self.places.iter().any(|&[x, y, r]| {
-            let d = [p[0] - f64::from(x), p[1] - f64::from(y)];
-            d[0] * d[0] + d[1] * d[1] < f64::from(r * r)
-        })
+        self.places.iter().any(|place| reaches(place, p))
     }
 
     /// The features that lie on none of them. An image of another size is one of another camera, and keeps all.
@@ -213,5 +243,36 @@ impl FixedPlaces {
             .filter(|&i| !self.holds(at(&features.keypoints[i])))
             .collect();
         std::borrow::Cow::Owned(features.subset(&free))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_small_fixed_place_is_left_out_wherever_it_lies_and_in_images_of_its_own_size_alone() {
+        let image = GrayImage::from_fn(64, 48, |_, _| 0.5).unwrap();
+        for k in 0..64 {
+            let at = [
+                20.0 + 0.25 * f64::from(k % 8),
+                17.0 + 0.25 * f64::from(k / 8),
+            ];
+            let mut fixed = FixedPlaces::default();
+            fixed.add_keypoints([64, 48], std::iter::once((at, 1.6)));
+            let free = fixed.free(&image).unwrap();
+            assert!(!free.holds(at), "{at:?}");
+            // As each cell's middle says.
+            let asked = Mask::of_cells(64, 48, FREE_CELL, |p| !fixed.holds(p));
+            assert_eq!(free, asked, "{at:?}");
+            let other = GrayImage::from_fn(48, 64, |_, _| 0.5).unwrap();
+            assert_eq!(fixed.free(&other), None);
+        }
+        // Beyond the image's edges nothing is, and at them it is.
+        let mut fixed = FixedPlaces::default();
+        let ends = [[0.0, 0.0], [63.0, 47.0], [63.0, 0.0]];
+        fixed.add_keypoints([64, 48], ends.into_iter().map(|p| (p, 3.0)));
+        let asked = Mask::of_cells(64, 48, FREE_CELL, |p| !fixed.holds(p));
+        assert_eq!(fixed.free(&image), Some(asked));
     }
 }

@@ -8,9 +8,6 @@ use scopeservo_registration::pixels::{
     Abstained, Evidence, Pictures, Refined, Sharpness, refine, sharpness, weigh,
 };
 
-/// Side of a mask's cells, pixels.
-const CELL: usize = 8;
-
 /// A view and its target, and what of them is not known to be something else than the specimen.
 pub(super) struct Pixels<'a> {
     view: &'a GrayImage,
@@ -27,16 +24,15 @@ impl<'a> Pixels<'a> {
         fixed: &FixedPlaces,
     ) -> Option<Self> {
         let target = task.is_arrival().then(|| task.target.gray().ok())??;
-        let free = |p: Vec2| !fixed.holds(p);
-        let moved = task.target.mask.as_ref();
-        let of = |image: &GrayImage, counts: &dyn Fn(Vec2) -> bool| {
-            Mask::of_cells(image.width(), image.height(), CELL, counts)
-        };
-        let of_view = (!fixed.is_empty()).then(|| of(view, &free));
+        let of_view = fixed.free(view);
         // What was not seen to move when the target was saved may be fixed to the camera.
-        let of_target = match moved {
-            Some(moved) => Some(of(&target, &|p| moved.holds(p) && free(p))),
-            None => (!fixed.is_empty()).then(|| of(&target, &free)),
+        let of_target = match (task.target.mask.as_ref(), fixed.free(&target)) {
+            (Some(moved), Some(free)) => {
+                let (width, height) = (target.width(), target.height());
+                let both = |p: Vec2| moved.holds(p) && free.holds(p);
+                Some(Mask::of_cells(width, height, free.cell(), both))
+            }
+            (moved, free) => moved.cloned().or(free),
         };
         Some(Self {
             view,

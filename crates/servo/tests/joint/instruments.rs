@@ -12,6 +12,7 @@ fn chi_999(freedom: usize) -> f64 {
     match freedom {
         6 => 22.46,
         9 => 27.88,
+        54 => 91.87,
         _ => panic!("{freedom}"),
     }
 }
@@ -91,18 +92,23 @@ fn a_stage_without_rotation_has_no_rotation_centre() {
 
 #[test]
 fn a_short_travel_and_a_corner_of_it_are_kept_to() {
-    let mut world = World::hexapod(3);
-    world.optics.centre_m = [20e-3, 1e-3];
-    world.reach = [0.6e-3, 0.9e-3, 2f64.to_radians()];
-    let start = PlanarPose {
-        x_m: [0.2e-3, -0.3e-3],
-        theta_rad: 0.0,
-    };
-    // The world asserts that nothing goes beyond.
-    let run = world.calibrate(&PathOptions::default(), start);
-    let fit = run.fit.unwrap();
-    assert!(distance_sq(&world.off(&fit), &fit).0 < chi_999(9));
-    assert!(sigma(&fit)[3] < 100.0);
+    const SEEDS: usize = 6;
+    let mut off_sq = 0.0;
+    for seed in 1..=SEEDS {
+        let mut world = World::hexapod(seed as u64);
+        world.optics.centre_m = [20e-3, 1e-3];
+        world.reach = [0.6e-3, 0.9e-3, 2f64.to_radians()];
+        let start = PlanarPose {
+            x_m: [0.2e-3, -0.3e-3],
+            theta_rad: 0.0,
+        };
+        // The world asserts that nothing goes beyond.
+        let run = world.calibrate(&PathOptions::default(), start);
+        let fit = run.fit.unwrap();
+        off_sq += distance_sq(&world.off(&fit), &fit).0;
+        assert!(sigma(&fit)[3] < 100.0);
+    }
+    assert!(off_sq < chi_999(9 * SEEDS), "{off_sq}");
 }
 
 #[test]
