@@ -91,6 +91,7 @@ pub trait Calibrations {
         instrument: &str,
         objective: &Objective,
         ranges: &[AxisRange],
+        image_size_px: [usize; 2],
     ) -> Result<Option<KeptCalibration>, LibraryError>;
 
     /// Where the newest calibration of an objective of this instrument lies.
@@ -170,18 +171,19 @@ pub(crate) fn judged(
     Ok(kept)
 }
 
-/// The newest of files that can be a calibration of this objective of this instrument, of which the last is the newest; an error tells which
-/// could be used instead.
+/// The newest of files that can be a calibration of this objective of this instrument with images of this size, of which the last is the newest; an
+/// error tells which could be used instead.
 pub(crate) fn newest(
     files: Vec<PathBuf>,
     open: impl Fn(&Path) -> Result<KeptCalibration, LibraryError>,
-    instrument: &str,
+    (instrument, image_size_px): (&str, [usize; 2]),
     objective: &Objective,
     ranges: &[AxisRange],
 ) -> Result<Option<KeptCalibration>, LibraryError> {
-    // One that is damaged does not say whose it is.
+    // One that is damaged does not say whose it is, and one of another camera, or another mode of it, is of no use.
     let own = |path: &PathBuf| match open(path) {
         Ok(kept) if !kept.is_of(instrument) => None,
+        Ok(kept) if kept.calibration.image_size_px != image_size_px => None,
         kept => Some(judged(kept, objective, ranges)),
     };
     let mut files = files.into_iter().rev();
@@ -230,9 +232,10 @@ impl Calibrations for Folder {
         instrument: &str,
         objective: &Objective,
         ranges: &[AxisRange],
+        image_size_px: [usize; 2],
     ) -> Result<Option<KeptCalibration>, LibraryError> {
         let files = in_order(&self.calibrations_of(&objective.id))?;
-        newest(files, read, instrument, objective, ranges)
+        newest(files, read, (instrument, image_size_px), objective, ranges)
     }
 
     fn calibration_path(
@@ -309,7 +312,7 @@ mod tests {
     fn the_newest_calibration_counts_and_the_older_ones_stay() {
         let dir = tempfile::tempdir().unwrap();
         let folder = Folder::new(dir.path().join("data"));
-        let newest = || folder.calibration("lab", &objective(), &[]);
+        let newest = || folder.calibration("lab", &objective(), &[], [640, 480]);
         assert_eq!(newest().unwrap(), None);
         let z = Some(Length::from_um(-12.5));
         // One from before files were numbered, and from a clock that was ahead; and one with a number that cannot be counted on from.
@@ -393,7 +396,7 @@ mod tests {
             fs::write(stray.join("000009_x.json"), text).unwrap();
         }
         let newest = folder
-            .calibration("lab", &objective(), &[])
+            .calibration("lab", &objective(), &[], [640, 480])
             .unwrap()
             .unwrap();
         assert_eq!(newest.calibration, calibration(0.2));

@@ -5,7 +5,7 @@ use crate::hand::Hand;
 use crate::jog::{Hold, Jog, Map};
 use scopeservo_library::{Label, LibraryError, Targets as _, check_slide};
 use scopeservo_protocol::Place;
-use scopeservo_scope::ObjectiveId;
+use scopeservo_scope::{Instrument, ObjectiveId};
 use scopeservo_servo::Progress;
 use scopeservo_servo::{CalibrateOptions, Calibration, FocusOptions, ServoOptions, Target};
 use scopeservo_station::jobs::{Answer, AnyJob, DoctorInput, RepositionInput, Request};
@@ -103,6 +103,12 @@ impl UseCase for Case {
             Self::Hand(hand) => hand.can_go_on(),
             Self::Jog(jog) => jog.can_go_on(),
             Self::WasKept => false,
+        }
+    }
+
+    fn leave(&mut self, scope: &Instrument) {
+        if let Self::Any(job) = self {
+            job.leave(scope);
         }
     }
 
@@ -355,11 +361,12 @@ fn reposition(bench: &Workbench, name: String) -> Result<Wish, ApiError> {
             return Err(ApiError::conflict("foreign_target", message));
         }
     };
+    let known = bench.known_calibrations(|_| {});
     let input = RepositionInput {
         target_id: kept.id.clone(),
         options: usual(bench).reposition(ServoOptions::default(), FocusOptions::default()),
-        foreign_um_per_px,
-        known: bench.known_calibrations(|_| {}),
+        foreign_um_per_px: foreign_um_per_px.or_else(|| bench.other_mode_um_per_px(&kept, &known)),
+        known,
         switchings: bench.switchings.clone(),
         parcentric: bench.parcentric.clone(),
     };
@@ -397,9 +404,14 @@ fn resume(bench: &Workbench) -> Result<Wish, ApiError> {
     let stored = AnyJob::stored(&left.head.job, step.state.to_string().as_bytes());
     let mut job = stored.map_err(|e| cannot(e.to_string()))?;
     let name = left.head.inputs["name"].as_str().map(str::to_owned);
-    if let (AnyJob::SaveTarget(_), Some(name)) = (&job, &name)
-        && bench.library.target(name).is_ok()
+    if let (AnyJob::SaveTarget(job), Some(name)) = (&job, &name)
+        && let Ok(kept) = bench.library.target(name)
     {
+        if !bench.was_kept_by(&kept, job) {
+            return Err(cannot(format!(
+                "another target is called '{name}' now. Rename that one first, or abandon it"
+            )));
+        }
         return Ok(Wish {
             case: Case::WasKept,
             about: Some(name.clone()),

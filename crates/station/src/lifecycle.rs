@@ -6,7 +6,7 @@ use crate::shared::Shared;
 use crate::{Ended, JobError, JobState, JournalError, Pause, StationEvent, UseCase, Work, lock};
 use scopeservo_servo::Progress;
 use std::any::Any;
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 
 impl Shared {
@@ -55,9 +55,9 @@ impl Shared {
         control.set(JobState::Running);
         let info = control.info.clone();
         self.bus.station(StationEvent::JobBegan { info });
-        let ended = self.steps(control, &mut case);
+        let ended = catch_unwind(AssertUnwindSafe(|| self.steps(control, &mut case)));
         case.leave(&self.scope);
-        ended
+        ended.unwrap_or_else(|panic| resume_unwind(panic))
     }
 
     fn steps<U: UseCase>(

@@ -91,6 +91,12 @@ impl<'a> Work<'a> {
         &self.shared.scope
     }
 
+    /// Whether an objective is in the beam: after a pause or a kill another one may be.
+    pub(crate) fn is_in(&self, objective: &ObjectiveId) -> Result<bool, JobError> {
+        let current = self.scope().gate().current_objective()?;
+        Ok(current.as_ref() == Some(objective))
+    }
+
     /// Where events and frames go.
     pub fn sink(&mut self) -> &mut dyn Sink {
         &mut self.ears

@@ -2,12 +2,14 @@
 
 use crate::Workbench;
 use crate::known::or_warn;
-use scopeservo_library::{Calibrations as _, KeptCalibration, LibraryError};
-use scopeservo_scope::Objective;
+use scopeservo_library::{Calibrations as _, KeptCalibration, KeptTarget, LibraryError};
+use scopeservo_scope::{Axis, Objective, StagePose};
 use scopeservo_servo::Calibration;
+use scopeservo_station::jobs::SaveTargetJob;
 
 impl Workbench {
-    /// The newest calibration of an objective that this instrument made, where it can be one of it on this stage.
+    /// The newest calibration of an objective that this instrument made with images of the camera's present size, where it can be one of it on this
+    /// stage.
     ///
     /// # Errors
     /// Those of [`scopeservo_library::Calibrations::calibration`].
@@ -15,21 +17,17 @@ impl Workbench {
         &self,
         objective: &Objective,
     ) -> Result<Option<KeptCalibration>, LibraryError> {
-        let ranges = self.scope.gate().ranges();
+        let (ranges, camera) = (self.scope.gate().ranges(), self.scope.camera().info());
+        let size_px = [camera.width, camera.height];
         self.library
-            .calibration(&self.config.name, objective, ranges)
+            .calibration(&self.config.name, objective, ranges, size_px)
     }
 
     /// The calibrations that this instrument and camera made. One that is damaged is told, and measured again on the way.
     pub fn known_calibrations(&self, mut warn: impl FnMut(LibraryError)) -> Vec<Calibration> {
-        let info = self.scope.camera().info();
-        let size_px = [info.width, info.height];
         let objectives = self.scope.gate().objectives().iter();
         let kept = objectives.filter_map(|o| or_warn(self.calibration_of(o), &mut warn).flatten());
-        // Of another camera, or another mode of it, it is of no use.
-        let kept: Vec<_> = kept
-            .filter(|k| k.calibration.image_size_px == size_px)
-            .collect();
+        let kept: Vec<_> = kept.collect();
         for nobodys in kept.iter().filter(|k| k.instrument.is_empty()) {
             warn(LibraryError::NobodysCalibration {
                 objective: nobodys.calibration.objective.0.clone(),
@@ -37,6 +35,42 @@ impl Workbench {
             });
         }
         kept.into_iter().map(|k| k.calibration).collect()
+    }
+}
+
+/// A size of pixels that differs by more than this share is another mode of the camera, and no drift.
+const OTHER_MODE: f64 = 0.05;
+
+impl Workbench {
+    /// Size of a pixel on the specimen, um, of a target that this instrument saved with another camera, or with pixels binned otherwise. `known`: the
+    /// calibrations in use.
+    pub fn other_mode_um_per_px(&self, kept: &KeptTarget, known: &[Calibration]) -> Option<f64> {
+        let taken = kept.target.taken.as_ref()?;
+        let camera = self.scope.camera().info();
+        let same_size = [taken.frame.width, taken.frame.height] == [camera.width, camera.height];
+        if same_size || kept.instrument != self.config.name {
+            return None;
+        }
+        let id = &kept.target.objective;
+        let engraved = || Some(self.scope.objective(id).ok()?.nominal_um_per_px);
+        let calibrated = known.iter().find(|c| c.objective == *id);
+        let now = calibrated.map(Calibration::um_per_px).or_else(engraved)?;
+        // One with the same pixels is a crop.
+        ((taken.um_per_px / now - 1.0).abs() > OTHER_MODE).then_some(taken.um_per_px)
+    }
+
+    /// Whether a target is the one that a job saved which a kill has ended before it said so.
+    pub fn was_kept_by(&self, kept: &KeptTarget, job: &SaveTargetJob) -> bool {
+        let same = |stage: &StagePose| {
+            Axis::ALL.into_iter().all(|axis| {
+                let both = (stage.si(axis), kept.stage.si(axis));
+                match both {
+                    (Some(a), Some(b)) => (a - b).abs() < 1e-12,
+                    (a, b) => a == b,
+                }
+            })
+        };
+        kept.instrument == self.config.name && job.stage().is_some_and(same)
     }
 }
 
@@ -109,6 +143,17 @@ nosepiece = \"twin\"
         assert_eq!(now, [nobodys]);
         assert!(warnings[0].contains("does not say"), "{warnings:?}");
         let anew = keep(&right, "right", -1.02);
+        assert_eq!(known(&right), (vec![anew.clone()], vec![]));
+        // With pixels in twos, whose scale is none of this objective's now, it hides nothing and is not damaged.
+        let binned = Calibration {
+            image_size_px: anew.image_size_px.map(|side| side / 2),
+            stage_from_pixel: Mat2([[0.0, 1.0], [1.0, 0.0]]) * Mat2::diagonal(2e-6, 2e-6),
+            ..anew.clone()
+        };
+        let library = &right.library;
+        library
+            .keep_calibration("right", &binned, None, None)
+            .unwrap();
         assert_eq!(known(&right), (vec![anew], vec![]));
     }
 }

@@ -92,12 +92,10 @@ pub(super) fn run(
 
 /// What this camera's objectives are calibrated with now, each with when it was made.
 fn in_use(opened: &OpenInstrument) -> Vec<(String, Calibration)> {
-    let info = opened.scope.camera().info();
-    let size_px = [info.width, info.height];
     let objectives = opened.scope.gate().objectives().iter();
     // One that is damaged is replaced now, and was of no use.
     let kept = objectives.filter_map(|o| opened.calibration_of(o).ok().flatten());
-    kept.filter(|k| k.calibration.image_size_px == size_px && k.instrument == opened.config.name)
+    kept.filter(|k| k.instrument == opened.config.name)
         .map(|k| (k.made, k.calibration))
         .collect()
 }

@@ -35,14 +35,15 @@ pub(crate) fn reposition(args: &RepositionArgs, answer: &Answer) -> Result<bool,
     try_out(&args.report.out)?;
     let opened = OpenInstrument::open(&args.instrument, answer)?;
     opened.check_nothing_waits()?;
+    let known = match args.calibrate {
+        true => Vec::new(),
+        false => known_calibrations(&opened, answer),
+    };
     let input = RepositionInput {
         target_id: kept.id.clone(),
         options,
-        foreign_um_per_px,
-        known: match args.calibrate {
-            true => Vec::new(),
-            false => known_calibrations(&opened, answer),
-        },
+        foreign_um_per_px: foreign_um_per_px.or_else(|| opened.other_mode_um_per_px(&kept, &known)),
+        known,
         switchings: opened.switchings.clone(),
         parcentric: opened.parcentric.clone(),
     };

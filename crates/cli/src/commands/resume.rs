@@ -64,10 +64,15 @@ pub(crate) fn resume(args: &ResumeArgs, answer: &Answer) -> Result<bool, CliErro
         AnyJob::Grid(job) => grid::run(&opened, *job, asked, answer),
         AnyJob::Level(job) => level::run(&opened, *job, asked, answer),
         AnyJob::Check(job) => check::run(&opened, *job, asked, false, answer),
-        AnyJob::SaveTarget(_) if library.target_path(name).is_ok() => {
-            save_target::was_kept(&opened, name, answer)
-        }
-        AnyJob::SaveTarget(job) => save_target::run(&opened, name, *job, asked, answer),
+        AnyJob::SaveTarget(job) => match library.target(name) {
+            Ok(kept) if opened.was_kept_by(&kept, &job) => {
+                save_target::was_kept(&opened, name, answer)
+            }
+            Ok(_) => Err(cannot(format!(
+                "another target is called '{name}' now. Rename that one first, or abandon it"
+            ))),
+            Err(_) => save_target::run(&opened, name, *job, asked, answer),
+        },
         AnyJob::Reposition(job) => {
             reposition::run(&opened, name, *job, asked, &args.report.out, answer)
         }

@@ -78,12 +78,13 @@ impl Calibrations for Database {
         instrument: &str,
         objective: &Objective,
         ranges: &[AxisRange],
+        image_size_px: [usize; 2],
     ) -> Result<Option<KeptCalibration>, LibraryError> {
         let files = self.measured(Kind::Calibration, Some(instrument), Some(&objective.id.0))?;
         newest(
             self.places(files),
             |path| self.said(path),
-            instrument,
+            (instrument, image_size_px),
             objective,
             ranges,
         )

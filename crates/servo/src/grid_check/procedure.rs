@@ -60,6 +60,11 @@ pub struct GridCheck {
 }
 
 impl GridCheck {
+    /// Its objective.
+    pub fn objective(&self) -> &Objective {
+        &self.objective
+    }
+
     /// A check of `objective`.
     pub fn new(objective: Objective, options: GridOptions) -> Self {
         Self {

@@ -74,6 +74,11 @@ pub struct Level {
 }
 
 impl Level {
+    /// Its objective.
+    pub fn objective(&self) -> &Objective {
+        &self.objective
+    }
+
     /// With `objective`.
     pub fn new(objective: Objective, options: LevelOptions) -> Self {
         Self {

@@ -191,6 +191,11 @@ impl UseCase for CalibrateJob {
 
     fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<CalibrateOutput>, JobError> {
         let input = &self.input;
+        if let (State::Calibrate(_), Some(objective)) = (&self.state, self.left.front())
+            && !work.is_in(&objective.id)?
+        {
+            self.state = State::Next;
+        }
         match &mut self.state {
             State::Begin => {
                 self.plan(work)?;

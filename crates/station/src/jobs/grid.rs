@@ -69,6 +69,12 @@ impl GridJob {
         }
     }
 
+    fn bring(&self, objective: Objective) -> State {
+        let (focus, vision) = (self.input.focus.clone(), self.input.vision.clone());
+        let bring = Bring::new(objective.id.clone(), focus, vision);
+        State::Bring(Box::new(bring), objective)
+    }
+
     fn told(&self, report: GridReport) -> GridOutput {
         let known = calibration_of(&self.input.calibrations, report.objective());
         GridOutput {
@@ -91,12 +97,15 @@ impl UseCase for GridJob {
 
     fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<GridOutput>, JobError> {
         let input = &self.input;
+        if let State::Check(check) = &self.state
+            && !work.is_in(&check.objective().id)?
+        {
+            self.state = self.bring(check.objective().clone());
+        }
         match &mut self.state {
             State::Begin => {
                 let objective = work.objective(input.objective.as_ref())?;
-                let (focus, vision) = (input.focus.clone(), input.vision.clone());
-                let bring = Bring::new(objective.id.clone(), focus, vision);
-                self.state = State::Bring(Box::new(bring), objective);
+                self.state = self.bring(objective);
             }
             State::Bring(bring, objective) => {
                 if let Progress::Done(_) = work.step(&mut **bring)? {

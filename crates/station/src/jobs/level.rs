@@ -65,6 +65,12 @@ impl LevelJob {
             state: State::Begin,
         }
     }
+
+    fn bring(&self, objective: Objective) -> State {
+        let (focus, vision) = (self.input.focus.clone(), self.input.vision.clone());
+        let bring = Bring::new(objective.id.clone(), focus, vision);
+        State::Bring(Box::new(bring), objective)
+    }
 }
 
 impl UseCase for LevelJob {
@@ -76,12 +82,15 @@ impl UseCase for LevelJob {
 
     fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<LevelOutput>, JobError> {
         let input = &self.input;
+        if let State::Level(level) = &self.state
+            && !work.is_in(&level.objective().id)?
+        {
+            self.state = self.bring(level.objective().clone());
+        }
         match &mut self.state {
             State::Begin => {
                 let objective = work.objective(input.objective.as_ref())?;
-                let (focus, vision) = (input.focus.clone(), input.vision.clone());
-                let bring = Bring::new(objective.id.clone(), focus, vision);
-                self.state = State::Bring(Box::new(bring), objective);
+                self.state = self.bring(objective);
             }
             State::Bring(bring, objective) => {
                 if let Progress::Done(_) = work.step(&mut **bring)? {

@@ -54,6 +54,9 @@ enum State {
     Save {
         stage: StagePose,
         save: Box<SaveTarget>,
+        /// States of earlier versions do not tell it.
+        #[serde(default)]
+        objective: Option<ObjectiveId>,
     },
 }
 
@@ -73,6 +76,28 @@ impl SaveTargetJob {
         }
     }
 
+    /// Where the stage stood for what is kept, once that is known: who goes on after a kill sees whether it was kept by this job.
+    pub fn stage(&self) -> Option<&StagePose> {
+        match &self.state {
+            State::Save { stage, .. } => Some(stage),
+            State::Begin | State::Bring { .. } | State::InFocus { .. } => None,
+        }
+    }
+
+    /// The objective that was brought into the beam.
+    fn brought(&self) -> Option<&ObjectiveId> {
+        match &self.state {
+            State::InFocus { objective, .. } => Some(objective),
+            State::Save { objective, .. } => objective.as_ref(),
+            State::Begin | State::Bring { .. } => None,
+        }
+    }
+
+    fn bring(&self, objective: &ObjectiveId) -> Bring {
+        let (focus, vision) = (self.input.focus.clone(), self.input.vision.clone());
+        Bring::new(objective.clone(), focus, vision)
+    }
+
     fn save(&self, work: &Work<'_>, objective: &ObjectiveId) -> Result<State, JobError> {
         let of_it = |c: &&Calibration| c.objective == *objective;
         let save = SaveTarget::new(SaveOptions {
@@ -83,6 +108,7 @@ impl SaveTargetJob {
         Ok(State::Save {
             stage: work.scope().gate().position()?,
             save: Box::new(save),
+            objective: Some(objective.clone()),
         })
     }
 }
@@ -96,11 +122,18 @@ impl UseCase for SaveTargetJob {
 
     fn step(&mut self, work: &mut Work<'_>) -> Result<Progress<SaveTargetOutput>, JobError> {
         let input = &self.input;
+        if let Some(objective) = self.brought()
+            && !work.is_in(objective)?
+        {
+            let objective = objective.clone();
+            let bring = Box::new(self.bring(&objective));
+            self.state = State::Bring { objective, bring };
+            return Ok(Progress::Continue);
+        }
         match &mut self.state {
             State::Begin => {
                 let objective = work.objective(input.objective.as_ref())?.id;
-                let (focus, vision) = (input.focus.clone(), input.vision.clone());
-                let bring = Box::new(Bring::new(objective.clone(), focus, vision));
+                let bring = Box::new(self.bring(&objective));
                 self.state = State::Bring { objective, bring };
             }
             State::Bring { objective, bring } => {
@@ -123,7 +156,7 @@ impl UseCase for SaveTargetJob {
                     self.state = self.save(work, &objective)?;
                 }
             }
-            State::Save { stage, save } => {
+            State::Save { stage, save, .. } => {
                 let stage = *stage;
                 if let Progress::Done(target) = work.step(&mut **save)? {
                     let frame = work.target_frame();
