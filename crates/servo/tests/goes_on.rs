@@ -192,6 +192,32 @@ fn a_run_goes_on_with_the_exposure_that_it_had_adapted_and_leaves_the_camera_as_
     assert_eq!(camera.exposure().unwrap(), dark);
 }
 
+/// The step that adapts the exposure is killed before it is written down, and the camera keeps what it was told.
+#[test]
+fn a_run_that_is_killed_while_it_exposes_otherwise_leaves_the_camera_as_it_was() {
+    let bench = turntable();
+    let (target, truth) = bench.save();
+    let known = calibrated(&bench.scope);
+    bench.twin.remount(PLACE_UM, [38.0, -45.0], 3.0, false);
+    let camera = bench.scope.camera();
+    let dark = camera.exposure().unwrap().mul_f64(0.002);
+    camera.set_exposure(dark).unwrap();
+    let mut machine = Reposition::new(target.clone(), options()).with_calibrations(known);
+    let mut kept = String::new();
+    while camera.exposure().unwrap() == dark {
+        kept = serde_json::to_string(&machine).unwrap();
+        let step = machine.step(&bench.scope, &mut Ear::default()).unwrap();
+        assert!(matches!(step, Progress::Continue), "not adapted");
+    }
+    let again: Reposition = serde_json::from_str(&kept).unwrap();
+    let mut again = again.with_target(target).after_a_kill();
+    let outcome = run(&mut again, &bench.scope, &mut Ear::default()).unwrap();
+    assert_eq!(outcome.verdict, Verdict::Arrived, "{}", outcome.message);
+    let (um, deg) = bench.error_from(&truth);
+    assert!(um < 1.2 && deg < 0.02, "{um} {deg}");
+    assert_eq!(camera.exposure().unwrap(), dark);
+}
+
 /// Tissue, of which the finest detail is not there.
 struct OnlyAfar {
     tissue: Tissue,

@@ -2,13 +2,19 @@
 
 mod common;
 
-use common::{LONG, Walk, Watched, bench, drain, wait_for};
-use scopeservo_scope::{Clock, Immersion, ImmersionChange, Objective, ObjectiveId, VirtualClock};
-use scopeservo_servo::Progress;
+use common::{LONG, PLACE_UM, Walk, Watched, bench, drain, wait_for};
+use scopeservo_scope::{
+    CancelToken, Clock, Immersion, ImmersionChange, Instrument, Objective, ObjectiveId,
+    VirtualClock,
+};
+use scopeservo_servo::{FocusOptions, Progress};
+use scopeservo_station::jobs::{SaveTargetInput, SaveTargetJob};
 use scopeservo_station::{
     Ended, JobError, JobInfo, JobState, Journal, JournalError, News, NoJournal, Parts, Pause,
     QuestionKind, Refusal, Session, StationEvent, UseCase, Work,
 };
+use scopeservo_twin::specimen::Tissue;
+use scopeservo_twin::{Config, Twin};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -255,7 +261,10 @@ fn another_medium_is_asked_about_over_the_station() {
 }
 
 #[derive(Serialize)]
-struct Panics;
+struct Panics {
+    #[serde(skip)]
+    left: Arc<AtomicBool>,
+}
 
 impl UseCase for Panics {
     type Output = ();
@@ -267,6 +276,10 @@ impl UseCase for Panics {
     fn step(&mut self, _: &mut Work<'_>) -> Result<Progress<()>, JobError> {
         panic!("two is three")
     }
+
+    fn leave(&mut self, _: &Instrument) {
+        self.left.store(true, Ordering::SeqCst);
+    }
 }
 
 #[test]
@@ -274,7 +287,13 @@ fn a_job_that_panics_has_ended_with_an_error_and_the_session_lives_on() {
     let bench = bench();
     let session = bench.session(Arc::new(NoJournal));
     let ada = session.take_lease("Ada", None).unwrap();
-    let ended = session.start(&ada, Panics).unwrap().wait();
+    let left = Arc::new(AtomicBool::new(false));
+    let panics = Panics { left: left.clone() };
+    let ended = session.start(&ada, panics).unwrap().wait();
+    assert!(
+        left.load(Ordering::SeqCst),
+        "the camera is left as it was found"
+    );
     assert!(
         matches!(&ended, Err(JobError::Mistake { what }) if what == "two is three"),
         "{ended:?}"
@@ -367,4 +386,36 @@ fn a_stop_of_one_job_never_reaches_the_next_whenever_it_comes() {
         }
         assert_eq!(next.wait().unwrap(), 10, "delay {delay}");
     }
+}
+
+/// Between two steps, while a job is paused or its program is killed, anybody may turn the nosepiece.
+#[test]
+fn a_view_is_saved_with_the_objective_that_was_brought_whichever_is_turned_in_meanwhile() {
+    let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
+    let twin = Twin::new(Config::realistic(), Arc::new(Tissue::new(7)), 5, clock).unwrap();
+    let scope = Instrument::new(twin.devices(), twin.rules(), CancelToken::new()).unwrap();
+    let scope = Arc::new(scope);
+    twin.centre_specimen(PLACE_UM, 0.0);
+    let (journal, hand) = Watched::new();
+    let parts = Parts {
+        journal,
+        ..Parts::default()
+    };
+    let session = Session::new(scope.clone(), parts);
+    let ada = session.take_lease("Ada", None).unwrap();
+    let [lowest, wanted] = ["10x", "40x"].map(|id| ObjectiveId(id.into()));
+    hand.wait_at(|_, _, state| state.contains("\"state\":{\"save\":"));
+    let job = SaveTargetJob::new(SaveTargetInput {
+        objective: Some(wanted.clone()),
+        focus: Some(FocusOptions::default()),
+        still: true,
+        ..SaveTargetInput::default()
+    });
+    let job = session.start(&ada, job).unwrap();
+    hand.reached();
+    scope.select_objective(&lowest).unwrap();
+    hand.go();
+    let saved = job.wait().unwrap();
+    assert_eq!(saved.target.objective, wanted);
+    assert_eq!(scope.gate().current_objective(), Ok(Some(wanted)));
 }

@@ -79,7 +79,11 @@ mod tests {
     use super::*;
     use scopeservo_geometry::Mat2;
     use scopeservo_scope::CancelToken;
+    use scopeservo_servo::{
+        Focus, FocusOptions, NoSink, SaveOptions, SaveTarget, Target, VisionOptions, run,
+    };
     use scopeservo_setup::{Config, Consent};
+    use scopeservo_station::jobs::SaveTargetInput;
 
     const TWIN: &str = "name = \"NAME\"
 data_folder = \"data\"
@@ -155,5 +159,63 @@ nosepiece = \"twin\"
             .keep_calibration("right", &binned, None, None)
             .unwrap();
         assert_eq!(known(&right), (vec![anew], vec![]));
+    }
+
+    #[test]
+    fn a_target_of_another_mode_of_the_camera_keeps_its_own_scale_and_a_save_is_told_by_its_place()
+    {
+        let dir = tempfile::tempdir().unwrap();
+        let text = TWIN.replace("NAME", "lab");
+        let config = Config::parse(&text, &dir.path().join("scopeservo.toml")).unwrap();
+        let consent = Consent {
+            home: false,
+            ask: std::sync::Arc::new(|_, _| false),
+            ask_immersion: std::sync::Arc::new(|_, _| false),
+        };
+        let bench =
+            Workbench::open(config, &consent, CancelToken::new(), |e| panic!("{e}")).unwrap();
+        let (scope, vision) = (&bench.scope, VisionOptions::default());
+        let objective = &scope.gate().objectives()[0];
+        let focus = Focus::new(objective.clone(), FocusOptions::default());
+        run(&mut { focus }, scope, &mut NoSink).unwrap();
+        let stage = scope.gate().position().unwrap();
+        let kept = KeptTarget {
+            id: String::new(),
+            saved: String::new(),
+            instrument: "lab".into(),
+            stage,
+            target: Target::save(scope, &vision, &mut NoSink).unwrap(),
+        };
+        assert_eq!(bench.other_mode_um_per_px(&kept, &[]), None);
+        // As it were with pixels in twos: half as many, twice as large.
+        let mut binned = kept.clone();
+        let taken = std::sync::Arc::make_mut(binned.target.taken.as_mut().unwrap());
+        let frame = std::sync::Arc::make_mut(&mut taken.frame);
+        (frame.width, frame.height) = (frame.width / 2, frame.height / 2);
+        assert_eq!(bench.other_mode_um_per_px(&binned, &[]), None, "a crop");
+        let taken = std::sync::Arc::make_mut(binned.target.taken.as_mut().unwrap());
+        taken.um_per_px *= 2.0;
+        let um_per_px = taken.um_per_px;
+        assert_eq!(bench.other_mode_um_per_px(&binned, &[]), Some(um_per_px));
+        let elsewhere = KeptTarget {
+            instrument: "other".into(),
+            ..binned
+        };
+        assert_eq!(bench.other_mode_um_per_px(&elsewhere, &[]), None);
+
+        // A job that was killed at its last step, which has kept this one or another one of that name.
+        let at = |stage: &StagePose| {
+            let job = serde_json::to_value(SaveTargetJob::new(SaveTargetInput::default())).unwrap();
+            let save = SaveTarget::new(SaveOptions::default());
+            let mut job = job;
+            job["state"] = serde_json::json!({"save": {"stage": stage, "save": save}});
+            serde_json::from_value::<SaveTargetJob>(job).unwrap()
+        };
+        assert!(bench.was_kept_by(&kept, &at(&stage)));
+        let beside = stage.with_si(Axis::X, stage.si(Axis::X).unwrap() + 1e-6);
+        assert!(!bench.was_kept_by(&kept, &at(&beside)));
+        assert!(!bench.was_kept_by(&elsewhere, &at(&stage)));
+        let begins = SaveTargetJob::new(SaveTargetInput::default());
+        assert!(!bench.was_kept_by(&kept, &begins));
     }
 }

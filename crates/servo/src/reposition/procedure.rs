@@ -124,6 +124,12 @@ pub struct Reposition {
     /// How the camera exposed before the run changed that.
     #[serde(default)]
     exposure_before: Option<Duration>,
+    /// How the camera was exposed when the run began.
+    #[serde(default)]
+    exposed: Option<Duration>,
+    /// A killed step may have exposed it otherwise, and written nothing down.
+    #[serde(skip)]
+    exposed_anyhow: bool,
     /// How it exposes since.
     #[serde(default)]
     exposes: Option<Duration>,
@@ -158,6 +164,8 @@ impl Reposition {
             tried: Tried::default(),
             sharpening: Sharpening::default(),
             exposure_before: None,
+            exposed: None,
+            exposed_anyhow: false,
             exposes: None,
             ended_at: None,
             came_back: false,
@@ -177,6 +185,7 @@ impl Reposition {
     /// A run that another process began: what this one arrives at it has seen itself.
     #[must_use]
     pub fn after_a_kill(mut self) -> Self {
+        self.exposed_anyhow = true;
         if let State::Under {
             work: Work::Servo(servo) | Work::Focus { servo, .. },
             ..
@@ -271,6 +280,7 @@ impl Reposition {
         let media = scope.gate().immersions()?;
         self.immersion = media.first().copied().filter(|_| media.len() == 1);
         self.began = Some(PlanarPose::from(&scope.gate().position()?));
+        self.exposed = scope.camera().exposure().ok();
         let so_far = self.so_far(scope, target);
         let first = self.policy().next(&so_far);
         let engine = self.options.vision.engine.info();

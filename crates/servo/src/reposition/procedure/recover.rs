@@ -77,9 +77,11 @@ impl Reposition {
         }
     }
 
-    /// As the run has adapted it: who went on after a kill or a stop opened the camera anew.
-    pub(super) fn exposes_as_adapted(&self, scope: &Instrument) -> Result<(), ServoError> {
-        let Some(adapted) = self.exposes else {
+    /// As the run has adapted it, or after a kill as it was when the run began: who went on after a kill or a stop opened the camera anew.
+    pub(super) fn exposes_as_adapted(&mut self, scope: &Instrument) -> Result<(), ServoError> {
+        let began = std::mem::take(&mut self.exposed_anyhow);
+        let began = self.exposed.filter(|_| began);
+        let Some(adapted) = self.exposes.or(began) else {
             return Ok(());
         };
         let is = scope.camera().exposure()?.as_secs_f64();
