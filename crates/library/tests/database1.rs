@@ -132,7 +132,7 @@ fn what_the_first_version_of_the_database_kept_is_there_in_the_present_one() {
     let slides: Vec<_> = slides.iter().map(|s| (&*s.name, s.targets)).collect();
     assert_eq!(slides, [("17B", 2), ("S-2 B", 1)]);
     for (instrument, id, um_per_px) in [("lab", "40x", 0.21), ("bench 2", "10x", 0.9)] {
-        let kept = library.calibration(instrument, &objective(id, um_per_px), &[]);
+        let kept = library.calibration(instrument, &objective(id, um_per_px), &[], [640, 480]);
         assert_eq!(
             kept.unwrap().unwrap().calibration,
             calibration(id, um_per_px)

@@ -79,7 +79,7 @@ fn a_calibration_of_the_first_version_counts() {
         immersion: Immersion::Air,
     };
     let kept = library
-        .calibration("test bench", &objective, &[])
+        .calibration("test bench", &objective, &[], [640, 480])
         .unwrap()
         .unwrap();
     assert!((kept.calibration.um_per_px() - 0.5114).abs() < 1e-3);

@@ -92,7 +92,7 @@ fn is_whole(library: &Database, before: [&scopeservo_library::KeptTarget; 2]) {
         2
     );
     let newest = library
-        .calibration("Bench 1", &objective(), &[])
+        .calibration("Bench 1", &objective(), &[], [640, 480])
         .unwrap()
         .unwrap();
     assert_eq!(newest.calibration, calibration("Plan 40x/0.65", 0.2));

@@ -24,6 +24,7 @@ mod correspondences;
 mod fourier;
 mod grid;
 pub mod likeness;
+mod named;
 mod options;
 mod outcome;
 mod period;

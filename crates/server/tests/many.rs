@@ -151,14 +151,43 @@ fn killed(
     Bench::new(HURRIED, true, folder.clone())
 }
 
+/// The journal's files, which lie in one folder.
+fn journal_files(journal: &std::path::Path) -> Vec<(std::path::PathBuf, Vec<u8>)> {
+    let folders = std::fs::read_dir(journal).into_iter().flatten().flatten();
+    let files = folders.flat_map(|folder| {
+        let named = ["head.json", "state.json"].map(|name| folder.path().join(name));
+        named.map(|path| (path.clone(), std::fs::read(path).unwrap_or_default()))
+    });
+    files.filter(|(_, bytes)| !bytes.is_empty()).collect()
+}
+
 #[test]
 fn a_view_that_was_kept_before_the_program_was_killed_is_told_as_kept() {
     let folder = Arc::new(TempDir::new().unwrap());
     let bench = Bench::new(HURRIED, true, folder.clone());
     let save = json!({"job": "save_target", "name": "mitosis-3", "focus": true});
-    let bench = killed(bench, &folder, &save, |visitor| {
-        assert_eq!(visitor.run(&save)["error"], json!(null));
-    });
+    let journal = folder.path().join("scopeservo-data/journal");
+    let visitor = bench.visitor();
+    let id = visitor.start(&save);
+    let began = Instant::now();
+    // As it is before its last step.
+    let files = loop {
+        let files = journal_files(&journal);
+        let saves = |(_, bytes): &(_, Vec<u8>)| {
+            String::from_utf8_lossy(bytes).contains("\"save\":{\"stage\"")
+        };
+        if files.len() == 2 && files.iter().any(saves) {
+            break files;
+        }
+        assert!(began.elapsed() < PATIENCE, "{}", visitor.job(id));
+    };
+    visitor.ended(id);
+    drop((visitor, bench));
+    for (path, bytes) in files {
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    }
+    let bench = Bench::new(HURRIED, true, folder);
     let visitor = bench.visitor();
     let bars = visitor.state()["may_not_start"].clone();
     assert_eq!(bars["code"], "unfinished", "{bars}");
@@ -185,6 +214,22 @@ fn a_view_that_was_kept_before_the_program_was_killed_is_told_as_kept() {
     );
     let again = visitor.post("/api/v1/jobs", &json!({"job": "resume"}));
     assert_eq!(again.code(), "nothing_left");
+}
+
+/// The name is another view's then: nobody may be told that this one was saved.
+#[test]
+fn a_save_that_was_killed_before_it_kept_anything_is_not_taken_for_another_of_its_name() {
+    let folder = Arc::new(TempDir::new().unwrap());
+    let bench = Bench::new(HURRIED, true, folder.clone());
+    let save = json!({"job": "save_target", "name": "mitosis-3", "focus": true});
+    let bench = killed(bench, &folder, &save, |visitor| {
+        assert_eq!(visitor.run(&save)["error"], json!(null));
+    });
+    let visitor = bench.visitor();
+    let refused = visitor.post("/api/v1/jobs", &json!({"job": "resume"}));
+    assert_eq!(refused.code(), "unfinished");
+    let bars = visitor.state()["may_not_start"].clone();
+    assert_eq!(bars["code"], "unfinished", "it waits still: {bars}");
 }
 
 fn copied(from: &std::path::Path, to: &std::path::Path) {

@@ -79,9 +79,7 @@ mod tests {
     use super::*;
     use scopeservo_geometry::Mat2;
     use scopeservo_scope::CancelToken;
-    use scopeservo_servo::{
-        Focus, FocusOptions, NoSink, SaveOptions, SaveTarget, Target, VisionOptions, run,
-    };
+    use scopeservo_servo::{Focus, FocusOptions, NoSink, SaveOptions, SaveTarget, run};
     use scopeservo_setup::{Config, Consent};
     use scopeservo_station::jobs::SaveTargetInput;
 
@@ -174,7 +172,8 @@ nosepiece = \"twin\"
         };
         let bench =
             Workbench::open(config, &consent, CancelToken::new(), |e| panic!("{e}")).unwrap();
-        let (scope, vision) = (&bench.scope, VisionOptions::default());
+        let scope = &bench.scope;
+        let mut saves = SaveTarget::new(SaveOptions::default());
         let objective = &scope.gate().objectives()[0];
         let focus = Focus::new(objective.clone(), FocusOptions::default());
         run(&mut { focus }, scope, &mut NoSink).unwrap();
@@ -184,7 +183,7 @@ nosepiece = \"twin\"
             saved: String::new(),
             instrument: "lab".into(),
             stage,
-            target: Target::save(scope, &vision, &mut NoSink).unwrap(),
+            target: run(&mut saves, scope, &mut NoSink).unwrap(),
         };
         assert_eq!(bench.other_mode_um_per_px(&kept, &[]), None);
         // As it were with pixels in twos: half as many, twice as large.

@@ -17,7 +17,7 @@ fn the_newest_measurement_counts_and_one_that_was_moved_away_does_not() {
             .keep_calibration("lab", &calibration("40x", um), None, None)
             .unwrap()
     });
-    let newest = || library.calibration("lab", &objective, &[]);
+    let newest = || library.calibration("lab", &objective, &[], [640, 480]);
     assert_eq!(
         newest().unwrap().unwrap().calibration,
         calibration("40x", 0.21)
@@ -77,7 +77,9 @@ fn each_instrument_has_its_own_calibrations_whoever_measured_last() {
     let both: [&dyn Calibrations; 2] = [&library, &folder];
     for library in both {
         let of = |instrument: &str| {
-            let kept = library.calibration(instrument, &objective, &[]).unwrap();
+            let kept = library
+                .calibration(instrument, &objective, &[], [640, 480])
+                .unwrap();
             kept.map(|kept| kept.calibration)
         };
         let keep = |instrument: &str, calibration: &Calibration| {
@@ -100,7 +102,7 @@ fn each_instrument_has_its_own_calibrations_whoever_measured_last() {
         // One that is damaged: nobody else's takes its place.
         fs::write(&left, "{}").unwrap();
         for instrument in ["left", "right"] {
-            match library.calibration(instrument, &objective, &[]) {
+            match library.calibration(instrument, &objective, &[], [640, 480]) {
                 Ok(Some(kept)) => {
                     assert_eq!((instrument, kept.calibration), ("right", turned(0.21)))
                 }
