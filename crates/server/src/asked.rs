@@ -395,9 +395,6 @@ fn resume(bench: &Workbench) -> Result<Wish, ApiError> {
         let message = format!("{} cannot go on: {why}", what(&left));
         ApiError::conflict("unfinished", message)
     };
-    if let Some(why) = contradiction(&left, &bench.scope) {
-        return Err(cannot(why));
-    }
     let Some(step) = &left.step else {
         return Err(cannot("it had not begun. Abandon it".into()));
     };
@@ -418,6 +415,10 @@ fn resume(bench: &Workbench) -> Result<Wish, ApiError> {
             asked: None,
             damaged: Vec::new(),
         });
+    }
+    // What was kept needs nothing more, wherever the stage stands.
+    if let Some(why) = contradiction(&left, &bench.scope) {
+        return Err(cannot(why));
     }
     if let Some(id) = job.target_id() {
         let target = kept_target(bench, name.as_deref().unwrap_or_default(), id);

@@ -174,7 +174,8 @@ fn a_view_that_was_kept_before_the_program_was_killed_is_told_as_kept() {
     let files = loop {
         let files = journal_files(&journal);
         let saves = |(_, bytes): &(_, Vec<u8>)| {
-            String::from_utf8_lossy(bytes).contains("\"save\":{\"stage\"")
+            let text: String = String::from_utf8_lossy(bytes).split_whitespace().collect();
+            text.contains("\"state\":{\"save\":")
         };
         if files.len() == 2 && files.iter().any(saves) {
             break files;
