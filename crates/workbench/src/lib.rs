@@ -12,6 +12,7 @@ mod known;
 mod page;
 mod record;
 mod specimen;
+mod targets;
 mod usual;
 mod workbench;
 
